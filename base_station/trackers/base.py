@@ -1,0 +1,31 @@
+"""What a tracker is. The station knows trackers only through these three methods."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from base_station.types import Box, Frame, TrackerResult
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Remembers a target (or a view) and says in later frames where it is and how large.
+
+    A tracker is used from one thread. It keeps no clock of its own: time is `frame.time_s`. It may keep a frame's image,
+    and must not write to it. With the same frames it gives the same results.
+    """
+
+    def learn(self, frame: Frame, target: Box | None) -> None:
+        """Remember what is in the box, or with None the whole view (a place). Replaces what was learned before.
+
+        Raises ValueError, with the reason in words, when the box is outside of the frame, too small or featureless.
+        """
+        ...
+
+    def update(self, frame: Frame) -> TrackerResult:
+        """Look for the target in this frame. Before `learn`: state INITIALIZING."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything. May be called twice."""
+        ...

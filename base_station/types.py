@@ -1,0 +1,102 @@
+"""The values that pass between link, trackers and behaviours: frames, boxes, results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from base_station.geometry import PinholeCamera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One picture from the robot. `image`: uint8, shape (height, width), gray, not to be written to.
+
+    `number` counts the frames of this connection from 1; some may be missing between two updates. `time_s` is when the
+    picture was taken, on a clock that only goes forward (its zero means nothing).
+    """
+
+    image: np.ndarray
+    number: int
+    time_s: float
+    camera: PinholeCamera
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright rectangle in px of the frame: top left corner, size. May stick out of the frame.
+
+    Raises ValueError unless width and height are positive and all four are finite.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite((self.x, self.y, self.width, self.height))) or self.width <= 0 or self.height <= 0:
+            raise ValueError(f"not a box: {self.x},{self.y},{self.width},{self.height} (x,y,width,height, both sides > 0)")
+
+    @property
+    def center_px(self) -> tuple[float, float]:
+        """x, y of the middle."""
+        return self.x + self.width / 2, self.y + self.height / 2
+
+    @classmethod
+    def around(cls, x: float, y: float, width: float, height: float) -> Box:
+        """The box with this centre and size."""
+        return cls(x - width / 2, y - height / 2, width, height)
+
+    def clipped(self, width: int, height: int) -> Box | None:
+        """The part of it inside a frame of this size, or None."""
+        left, top = max(self.x, 0.0), max(self.y, 0.0)
+        right, bottom = min(self.x + self.width, float(width)), min(self.y + self.height, float(height))
+        return Box(left, top, right - left, bottom - top) if right > left and bottom > top else None
+
+
+class TrackingState(Enum):
+    """INITIALIZING: nothing learned yet, or not enough seen. TRACKING: the target is seen. LOST: it is not."""
+
+    INITIALIZING = "INITIALIZING"
+    TRACKING = "TRACKING"
+    LOST = "LOST"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerResult:
+    """What a tracker says about one frame. Measurements are there in state TRACKING only: never a stale value.
+
+    What a tracker cannot tell is None, also when TRACKING.
+    Raises ValueError when a state other than TRACKING carries a measurement.
+    """
+
+    state: TrackingState
+    reason: str = ""
+    """In words, why not TRACKING; empty when TRACKING."""
+    shift_px: float | None = None
+    """Horizontal displacement of the target's centre since it was learned, to the right positive."""
+    shift_y_px: float | None = None
+    """Vertical displacement, downwards positive."""
+    bearing_rad: float | None = None
+    """Direction of the target's centre from the optical axis, to the left positive (counter-clockwise from above).
+    For a learned view (no box): the direction of the learned heading."""
+    elevation_rad: float | None = None
+    """The same in the vertical, upwards positive."""
+    zoom: float | None = None
+    """Apparent size against the learned one: > 1 is nearer. Depth along the optical axis is the learned one / zoom."""
+    confidence: float = 0.0
+    """0..1."""
+    box: Box | None = None
+    """The target's outline in this frame."""
+    cam_from_world: np.ndarray | None = None
+    """4x4, for trackers that know a pose."""
+
+    def __post_init__(self) -> None:
+        measured = (self.shift_px, self.shift_y_px, self.bearing_rad, self.elevation_rad, self.zoom, self.box)
+        if self.state is not TrackingState.TRACKING and any(value is not None for value in measured):
+            raise ValueError(f"a result in state {self.state.value} carries a measurement")
+        if self.state is not TrackingState.TRACKING and not self.reason:
+            raise ValueError(f"a result in state {self.state.value} must give its reason")

@@ -1,0 +1,58 @@
+"""The wire between robot agent and base station: bytes to messages and back, without any I/O (see README.md here)."""
+
+from protocol.commands import COMMAND_BYTES, MAX_UNIT, MIN_UNIT, STOP, Command, CommandDecoder
+from protocol.errors import ProtocolError, TruncatedError
+from protocol.frames import FrameDecoder, FrameFormat
+from protocol.messages import (
+    COMMAND_PORT,
+    CONTROL_PORT,
+    FRAME_PORT,
+    PROTOCOL_VERSION,
+    TELEMETRY_PORT,
+    FrameStamp,
+    Hello,
+    Intrinsics,
+    Reply,
+    Request,
+    RobotLimits,
+    Scenario,
+    ScenarioEvent,
+    Telemetry,
+    Truth,
+    decode_reply,
+    decode_request,
+    decode_telemetry,
+    encode,
+)
+
+__all__ = [
+    "COMMAND_BYTES",
+    "COMMAND_PORT",
+    "CONTROL_PORT",
+    "FRAME_PORT",
+    "MAX_UNIT",
+    "MIN_UNIT",
+    "PROTOCOL_VERSION",
+    "STOP",
+    "TELEMETRY_PORT",
+    "Command",
+    "CommandDecoder",
+    "FrameDecoder",
+    "FrameFormat",
+    "FrameStamp",
+    "Hello",
+    "Intrinsics",
+    "ProtocolError",
+    "Reply",
+    "Request",
+    "RobotLimits",
+    "Scenario",
+    "ScenarioEvent",
+    "Telemetry",
+    "TruncatedError",
+    "Truth",
+    "decode_reply",
+    "decode_request",
+    "decode_telemetry",
+    "encode",
+]

@@ -1,0 +1,198 @@
+"""What the raw ports cannot say: hello and control (port 31443, REQ/REP) and telemetry (port 31442, PUB).
+
+Every message is one msgpack map. All of it is optional: a station works with a peer that has only the raw ports.
+Angles are in radians, counter-clockwise seen from above (left is positive); lengths in metres; times in seconds of the
+agent's monotonic clock unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from protocol.errors import ProtocolError
+from protocol.frames import FrameFormat
+from protocol.records import from_bytes, from_map, to_bytes, unpack_map
+
+PROTOCOL_VERSION = 1
+FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31443
+"""The default ports. An agent on other ones keeps the order: base, base + 1, base + 2, base + 3."""
+
+ACTIONS = ("hello", "stop", "release", "exposure")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """Pinhole camera of the frame as sent: focal lengths and principal point in px of the frame sent (a band of rows
+    has its own `cy`); `distortion` holds OpenCV's k1, k2, p1, p2[, k3]."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.fx <= 0 or self.fy <= 0:
+            raise ProtocolError(f"focal lengths must be positive, not {self.fx} and {self.fy}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioEvent:
+    """A hand of the simulated operator. `kind` is "learn": at frame `frame` of the connection (from 1) the target in
+    `box` (x, y, width, height in px of the frame sent) is to be learned, or with no box the whole view."""
+
+    kind: str
+    frame: int
+    box: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A simulated scene and what its operator would do in it. Handed out once, to the first station."""
+
+    name: str
+    seed: int
+    events: tuple[ScenarioEvent, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotLimits:
+    """How wire units become motion. `metres_per_unit_s`: speed of a wheel at one motor unit."""
+
+    max_units: int = 500
+    speed_scale: float = 1.0
+    metres_per_unit_s: float = 0.000325
+    wheel_base_m: float = 0.094
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hello:
+    """The agent's answer to hello."""
+
+    protocol: int
+    agent: str
+    """Name and version of the agent's program."""
+    width: int
+    height: int
+    first_row: int = 0
+    full_height: int = 0
+    fps: float
+    rhythm: str
+    """"free" or "lockstep"."""
+    robot: str
+    camera: str
+    intrinsics: Intrinsics | None = None
+    limits: RobotLimits = RobotLimits()
+    capabilities: tuple[str, ...] = ()
+    busy_with: str | None = None
+    """Address of the station that is connected, None when the robot is free."""
+    monotonic_s: float = 0.0
+    scenario: Scenario | None = None
+
+    @property
+    def format(self) -> FrameFormat:
+        """The frames on port 31440. Raises ProtocolError when the numbers make no frame."""
+        return FrameFormat(
+            width=self.width, height=self.height, first_row=self.first_row, full_height=self.full_height
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What a station may ask on the control port.
+
+    `hello`: who are you; `stop`: emergency stop, latched, with the reason in `text`; `release`: end it;
+    `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic.
+    """
+
+    action: str
+    text: str = ""
+    value: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.action not in ACTIONS:
+            raise ProtocolError(f"unknown action {self.action!r}; there are {', '.join(ACTIONS)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reply:
+    """The answer to any request. `error` says why not, in words for a person; `hello` is there for hello only."""
+
+    ok: bool
+    error: str = ""
+    hello: Hello | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameStamp:
+    """The newest frame written. `number` counts frames written to connection number `connection`, from 1."""
+
+    connection: int
+    number: int
+    capture_s: float
+    dropped: int
+    """Frames of this connection that were captured but not sent, so that the newest could go first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Simulation only: where things really are when the stamped frame was taken. For summaries, never for control.
+
+    `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is that of the picture's centre from the optical
+    axis, `range_m` its distance from the camera, both None without a picture (in `turn` the bearing is that of the heading at
+    the start). `in_view`: the whole picture is in the frame and not hidden.
+    """
+
+    robot: tuple[float, float, float]
+    target: tuple[float, float, float] | None = None
+    bearing_rad: float | None = None
+    range_m: float | None = None
+    in_view: bool = False
+    collisions: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Telemetry:
+    """The agent's state, published with every frame (before its bytes) and at least ten times a second."""
+
+    sequence: int
+    monotonic_s: float
+    wall_s: float
+    frame: FrameStamp | None = None
+    proximity: tuple[int, ...] | None = None
+    """Thymio II: five front sensors left to right, two rear; 0 far, about 4500 at contact."""
+    wheels_asked: tuple[int, int] = (0, 0)
+    """Left, right in motor units, after safety."""
+    wheels_measured: tuple[int, int] | None = None
+    safety: str = "stopped"
+    """"ok", "limited" (an obstacle bends the command) or "stopped"."""
+    reason: str = ""
+    station: str | None = None
+    cpu_s: float = 0.0
+    """Processor time of the agent's process since its start."""
+    truth: Truth | None = None
+
+
+def encode(message: Request | Reply | Telemetry) -> bytes:
+    """The message as it goes over the wire."""
+    return to_bytes(message)
+
+
+def decode_request(data: bytes) -> Request:
+    """Raises ProtocolError."""
+    return from_bytes(Request, data)
+
+
+def decode_reply(data: bytes) -> Reply:
+    """Raises ProtocolError; also when the agent speaks another version of this protocol, saying which."""
+    fields = unpack_map(data)
+    hello = fields.get("hello")
+    version = hello.get("protocol") if isinstance(hello, dict) else PROTOCOL_VERSION
+    if version != PROTOCOL_VERSION:
+        raise ProtocolError(f"the agent speaks protocol version {version}, this station {PROTOCOL_VERSION}: update the older")
+    return from_map(Reply, fields)
+
+
+def decode_telemetry(data: bytes) -> Telemetry:
+    """Raises ProtocolError."""
+    return from_bytes(Telemetry, data)

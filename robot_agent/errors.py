@@ -1,0 +1,13 @@
+"""Failures of the agent that a person can mend."""
+
+
+class AgentError(Exception):
+    """Something the person at the keyboard can mend. The text is one sentence: what happened, then what to do."""
+
+
+class CameraError(AgentError):
+    """The camera is not there, or it broke."""
+
+
+class EndOfRecording(AgentError):
+    """A replay camera has shown its last frame."""
