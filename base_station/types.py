@@ -26,7 +26,9 @@ class Frame:
 
 @dataclass(frozen=True)
 class Box:
-    """An upright rectangle in px of the frame: top left corner, size. May stick out of the frame.
+    """An upright rectangle of pixels: column and row of its first pixel, its size. May stick out of the frame.
+
+    Pixel centres are at integer coordinates (as OpenCV has it), so the middle of the box lies at x + (width - 1) / 2.
 
     Raises ValueError unless width and height are positive and all four are finite.
     """
@@ -43,12 +45,12 @@ class Box:
     @property
     def center_px(self) -> tuple[float, float]:
         """x, y of the middle."""
-        return self.x + self.width / 2, self.y + self.height / 2
+        return self.x + (self.width - 1) / 2, self.y + (self.height - 1) / 2
 
     @classmethod
     def around(cls, x: float, y: float, width: float, height: float) -> Box:
         """The box with this centre and size."""
-        return cls(x - width / 2, y - height / 2, width, height)
+        return cls(x - (width - 1) / 2, y - (height - 1) / 2, width, height)
 
     def clipped(self, width: int, height: int) -> Box | None:
         """The part of it inside a frame of this size, or None."""
