@@ -1,0 +1,88 @@
+"""What the compiled kernels mean, in plain numpy: the definitions, summed out, without recursion.
+
+Slow on purpose. The tests hold `kernels.py` and `search_kernels.py` against these; the README derives them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def one_sided_transform(row: np.ndarray, anchor: int, z: complex, *, order: int = 1) -> complex:
+    """sum_{u >= 0} row[anchor + u] z^-u; with order 2, sum u row[anchor + u] z^-u, which is -z times its derivative.
+
+    Source: Khalil 2021, section 3.3.2.
+    """
+    tail = np.asarray(row, float)[anchor:]
+    u = np.arange(len(tail))
+    return complex(np.sum((u if order == 2 else 1) * tail * np.asarray(z, complex) ** -u))
+
+
+def shifted_transform(transform: complex, head: np.ndarray, z: complex) -> complex:
+    """Transform of the row from len(head) pixels further on, by the shift property, eq. (3.4) of Khalil 2021.
+
+    `head`: the pixels that were stepped over. z^n0 (X(z) - sum_{k < n0} x[k] z^-k).
+    """
+    n0 = len(head)
+    return complex(z**n0 * (transform - np.sum(head * np.asarray(z, complex) ** -np.arange(n0))))
+
+
+def recursive_transform(row: np.ndarray, z: complex) -> np.ndarray:
+    """The first-order transform about every pixel at once: R(m) = x[m] + R(m + 1) / z. Complex, as long as the row."""
+    out = np.zeros(len(row) + 1, complex)
+    for m in range(len(row) - 1, -1, -1):
+        out[m] = row[m] + out[m + 1] / z
+    return out[:-1]
+
+
+def sample_patch(
+    image: np.ndarray, placement: np.ndarray, lens: np.ndarray, samples: int, cells: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Patch (cells, cells) and which of its cells are in the frame (bool). See `kernels` for placement and lens."""
+    height, width = image.shape
+    middle_x, middle_y, box_width, box_height, keystone = placement
+    u = (np.arange(cells * samples) + 0.5) / (cells * samples) - 0.5
+    shrink = 1 / (1 + keystone * u)
+    x = np.broadcast_to(middle_x + box_width * u * shrink, (len(u), len(u)))
+    y = middle_y + box_height * u[:, None] * shrink[None]
+    if lens[0] > 0:
+        azimuth = (x - lens[2]) / lens[1]
+        x, y = lens[2] + lens[1] * np.tan(azimuth), lens[3] + (y - lens[3]) / np.cos(azimuth)
+    cx, cy = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
+    ix, iy = cx.astype(int), cy.astype(int)
+    fx, fy = cx - ix, cy - iy
+    pixels = image.astype(float)
+    above = pixels[iy, ix] * (1 - fx) + pixels[iy, ix + 1] * fx
+    below = pixels[iy + 1, ix] * (1 - fx) + pixels[iy + 1, ix + 1] * fx
+    fine = above * (1 - fy) + below * fy
+    patch = fine.reshape(cells, samples, cells, samples).mean((1, 3))
+    middle = samples // 2 + samples * np.arange(cells)
+    v = (np.arange(cells) + 0.5) / cells - 0.5
+    row = middle_y + box_height * v[:, None] * shrink[None, middle]
+    if lens[0] > 0:
+        row = lens[3] + (row - lens[3]) / np.cos(
+            (middle_x + box_width * u[middle] * shrink[middle] - lens[2]) / lens[1]
+        )
+    column = x[0, middle]
+    seen = (column >= -0.5) & (column <= width - 0.5) & (row >= -0.5) & (row <= height - 0.5)
+    return patch, seen
+
+
+def read_signature(
+    patch: np.ndarray, bands: int, poles: np.ndarray, weights: np.ndarray, anchors: np.ndarray, taper: np.ndarray
+) -> np.ndarray:
+    """Normalised signature of a patch, complex, shape (2 * bands, poles, 2 sides, anchors)."""
+    cells = len(patch)
+    depth = cells // bands
+    cuts = [slice(b * depth, (b + 1) * depth if b < bands - 1 else cells) for b in range(bands)]
+    profiles = np.stack([patch[c].sum(0) / depth for c in cuts] + [patch[:, c].sum(1) / depth for c in cuts])
+    d = np.zeros_like(profiles)
+    d[:, 1:-1] = (profiles[:, 2:] - profiles[:, :-2]) / 2
+    d *= taper
+    distance = np.arange(cells)[None] - np.asarray(anchors)[:, None]  # (anchors, cells), to the right positive
+    out = np.zeros((2 * bands, len(poles), 2, len(anchors)), complex)
+    for k, (p, weight) in enumerate(zip(poles, weights, strict=True)):
+        for side, u in enumerate((distance, -distance)):
+            window = np.where(u > 0, u * p ** np.maximum(u, 0), 0)
+            out[:, k, side] = weight * (d @ window.T)
+    return out / np.sqrt((np.abs(out) ** 2).sum())
