@@ -1,0 +1,33 @@
+"""The simulated robot: the twin of a Thymio II, plus what only a simulation knows."""
+
+from __future__ import annotations
+
+from protocol import RobotLimits, Truth
+from robot_agent.robots.base import RobotState
+from robot_agent.sim import World
+
+
+class SimRobot:
+    """Drives the robot of a world. Implements Robot and Simulated."""
+
+    kind = "sim"
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.limits: RobotLimits = world.limits
+
+    def set_wheels(self, left: int, right: int) -> None:
+        """Ask for wheel speeds in motor units. They hold until the next call."""
+        self._world.set_wheels(left, right)
+
+    def state(self) -> RobotState:
+        """Proximity and measured wheel speeds."""
+        return self._world.state()
+
+    def truth(self) -> Truth:
+        """Where things were when the newest frame was taken."""
+        return self._world.truth()
+
+    def close(self) -> None:
+        """Stop the wheels. The world stays with whoever made it."""
+        self._world.set_wheels(0, 0)

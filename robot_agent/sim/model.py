@@ -1,0 +1,180 @@
+"""The room, the robot and the leader as MuJoCo's model text (MJCF). Text only: nothing here needs MuJoCo.
+
+All surfaces glow with their own texture and there is no lamp: brightness is a matter of the camera, one number that a
+scenario can change without surprises. Contact types: bit 1 is the floor and what rolls on it, bit 2 obstacles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from protocol import Intrinsics
+from robot_agent.sim import scenarios, textures, thymio
+from robot_agent.sim.courses import ROOM_HALF_SIZE_M
+from robot_agent.sim.poses import Pose
+
+WALL_HEIGHT_M = 1.5
+SENSED_GROUP, OWN_GROUP = 0, 3
+"""Geometry groups: what proximity sensors and lines of sight meet, and the robot's own parts."""
+
+_WALLS = ("east", "north", "west", "south")
+_SLAB_M = 0.01
+_PLAIN_WALL_GRAY, _PLAIN_FLOOR_GRAY = 150, 128
+_FLOOR_PX, _WALL_PX, _PICTURE_PX = (2048, 2048), (512, 2048), (512, 512)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimModel:
+    """MJCF text and the PNG files it names."""
+
+    mjcf: str
+    files: dict[str, bytes]
+
+
+def build_model(
+    stage: scenarios.Stage, *, texture_seed: int, timestep_s: float, width: int, height: int, intrinsics: Intrinsics
+) -> SimModel:
+    """The whole scene of a stage. `width`, `height` and `intrinsics` are those of the robot's camera."""
+    images = _images(stage, np.random.default_rng(texture_seed))
+    fovy_deg = float(np.degrees(2.0 * np.arctan(height / 2.0 / intrinsics.fy)))
+    assets = "".join(
+        f'<texture name="{name}" type="2d" file="{name}.png"/>'
+        f'<material name="{name}" texture="{name}" emission="1" specular="0" shininess="0"/>'
+        for name in images
+    )
+    vertices = " ".join(
+        f"{x:.5f} {y:.5f} {z}" for x, y in thymio.outline() for z in (thymio.BODY_BOTTOM_M, thymio.BODY_TOP_M)
+    )
+    mjcf = f"""<mujoco model="zservo">
+<compiler angle="radian"/>
+<option timestep="{timestep_s!r}" integrator="implicitfast" cone="elliptic" impratio="10"/>
+<statistic extent="1" center="0 0 0"/>
+<visual><global offwidth="{width}" offheight="{height}"/><quality offsamples="0" shadowsize="0"/>
+<map znear="0.01" zfar="20"/><headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/></visual>
+<default><geom contype="0" conaffinity="0" group="{SENSED_GROUP}"/>
+<default class="obstacle"><geom contype="2"/></default><default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
+<asset>{assets}{_shades()}<mesh name="thymio" vertex="{vertices}"/></asset>
+<worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, fovy_deg)}</worldbody>
+<actuator>{_motors()}</actuator>
+</mujoco>"""
+    files = {f"{name}.png": _png(image) for name, image in images.items()}
+    return SimModel(mjcf=mjcf, files=files)
+
+
+def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    images = {"floor": textures.plain(_PLAIN_FLOOR_GRAY)} | dict.fromkeys(_WALLS, textures.plain(_PLAIN_WALL_GRAY))
+    if stage.textured:
+        images["floor"] = textures.texture(rng, *_FLOOR_PX, textures.FLOOR)
+        images |= {name: textures.texture(rng, *_WALL_PX, textures.WALL) for name in _WALLS}
+    if stage.picture is not None:
+        images["picture"] = textures.texture(rng, *_PICTURE_PX, textures.PICTURE)
+    return images
+
+
+def _png(image: np.ndarray) -> bytes:
+    """Three equal channels, hardly compressed: it is read once, in this process."""
+    _, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return data.tobytes()
+
+
+def _shades() -> str:
+    grays = {"ceiling": 0.84, "screen": 0.53, "body": 0.93, "tyre": 0.12, "trim": 0.45, "back": 0.70}
+    return "".join(
+        f'<material name="{name}" rgba="{g} {g} {g} 1" emission="1" specular="0" shininess="0"/>'
+        for name, g in grays.items()
+    )
+
+
+def _room(stage: scenarios.Stage) -> str:
+    half, wall = ROOM_HALF_SIZE_M, WALL_HEIGHT_M / 2
+    parts = [
+        f'<geom name="floor" type="plane" size="{half} {half} 1" material="floor" contype="1" friction="1.5 0 0"'
+        f' solref="0.005 1"/>',
+        f'<geom type="box" size="{half} {half} {_SLAB_M}" pos="0 0 {WALL_HEIGHT_M + _SLAB_M}" material="ceiling"/>',
+    ]
+    for quarter, name in enumerate(_WALLS):
+        x, y = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+        reach = half + _SLAB_M
+        # Axes: along the wall to the right as seen from inside, then up; the box's z axis points into the room.
+        parts.append(
+            f'<geom name="{name}" class="obstacle" type="box" size="{half} {wall} {_SLAB_M}" material="{name}"'
+            f' pos="{x * reach} {y * reach} {wall}" xyaxes="{y} {-x} 0 0 0 1"/>'
+        )
+    if stage.picture is not None and stage.picture.wall_pose is not None:
+        parts.append(_picture_geom(stage.picture, stage.picture.wall_pose))
+    if stage.screen is not None:
+        screen = stage.screen
+        size = f"{screen.length_m / 2} {screen.thickness_m / 2} {screen.height_m / 2}"
+        parts.append(
+            f'<geom class="obstacle" type="box" size="{size}" material="screen"'
+            f' pos="{screen.pose.x_m} {screen.pose.y_m} {screen.height_m / 2}" euler="0 0 {screen.pose.heading_rad}"/>'
+        )
+    return "".join(parts)
+
+
+def _picture_geom(picture: scenarios.Picture, pose: Pose) -> str:
+    """A thin slab whose printed face (the box's +z) looks against the pose's heading, +x to the viewer's right."""
+    right, half = pose.moved(turned_rad=-np.pi / 2), picture.side_m / 2
+    axis_x, axis_y = np.cos(right.heading_rad), np.sin(right.heading_rad)
+    return (
+        f'<geom name="picture" class="obstacle" type="box" size="{half} {half} 0.001" material="picture"'
+        f' pos="{pose.x_m} {pose.y_m} {picture.centre_height_m}" xyaxes="{axis_x:.9f} {axis_y:.9f} 0 0 0 1"/>'
+    )
+
+
+def _leader(stage: scenarios.Stage) -> str:
+    picture = stage.picture
+    if stage.leader is None or picture is None:
+        return ""
+    behind = -scenarios.LEADER_PICTURE_BEHIND_M
+    board = _picture_geom(picture, Pose(x_m=behind, y_m=0.0, heading_rad=0.0))
+    half = picture.side_m / 2
+    wheels = "".join(
+        f'<geom type="cylinder" size="{thymio.WHEEL_RADIUS_M} 0.008" pos="0 {y} {thymio.WHEEL_RADIUS_M}"'
+        ' euler="1.5707963 0 0" material="tyre"/>'
+        for y in (-0.047, 0.047)
+    )
+    return (
+        f'<body name="leader" mocap="true" {_standing(stage.leader(0.0))}><geom class="obstacle" type="mesh" mesh="thymio" material="body"/>'
+        f'{wheels}<geom type="box" size="0.002 {half} {half}" pos="{behind + 0.0035} 0 {picture.centre_height_m}"'
+        f' material="back"/><geom type="box" size="0.012 0.05 0.004" pos="0.02 0 0.056" material="trim"/>{board}</body>'
+    )
+
+
+def _robot(start: Pose, fovy_deg: float) -> str:
+    radius, half_base = thymio.WHEEL_RADIUS_M, thymio.LIMITS.wheel_base_m / 2
+    # Ellipsoids touch the floor in one point, so that the wheel base is exact.
+    wheels = "".join(
+        f'<body name="{side}" pos="0 {y} {radius}"><joint name="{side}" axis="0 1 0" damping="1e-6"/>'
+        f'<geom class="own" type="ellipsoid" size="{radius} 0.006 {radius}" mass="0.012" conaffinity="1"'
+        f' friction="1.5 0 0" solref="0.005 1" material="tyre"/></body>'
+        for side, y in (("left", half_base), ("right", -half_base))
+    )
+    body_kg = thymio.MASS_KG - 2 * 0.012
+    return (
+        f'<body name="robot" {_standing(start)}><freejoint name="robot"/>'
+        f'<inertial pos="0.022 0 0.024" mass="{body_kg}" diaginertia="3.3e-4 3.0e-4 5.4e-4"/>'
+        '<geom name="body" class="own" type="mesh" mesh="thymio" conaffinity="2" friction="0.3 0 0" material="body"/>'
+        '<geom class="own" type="sphere" size="0.005" pos="0.066 0 0.005" conaffinity="1" priority="1" condim="1"'
+        ' solref="0.005 1" material="trim"/>'
+        '<geom class="own" type="capsule" size="0.003" fromto="0 0 0.05 0 0 0.085" material="tyre"/>'
+        f'<camera name="camera" pos="0 0 {thymio.CAMERA_HEIGHT_M}" xyaxes="0 -1 0 0 0 1" fovy="{fovy_deg!r}"/>'
+        f"{wheels}</body>"
+    )
+
+
+def _standing(pose: Pose) -> str:
+    return f'pos="{pose.x_m!r} {pose.y_m!r} 0" euler="0 0 {pose.heading_rad!r}"'
+
+
+def _motors() -> str:
+    """Velocity servos behind a first-order filter of the asked speed."""
+    gain = 0.003
+    return "".join(
+        f'<general name="{side}" joint="{side}" dyntype="filterexact" dynprm="{thymio.WHEEL_RESPONSE_S}"'
+        f' gainprm="{gain}" biastype="affine" biasprm="0 0 {-gain}"/>'
+        for side in ("left", "right")
+    )
