@@ -23,12 +23,14 @@ WIDEST_AZIMUTH_RAD = 1.2
 
 
 @njit(cache=True, fastmath=True)
-def sample_patch(image, placement, lens, samples, patch, seen):
+def sample_patch(image, scale, placement, lens, samples, patch, seen):
     """Fill `patch` (cells, cells) with means of samples x samples bilinear reads; `seen`: 1 inside of the frame.
 
+    `image` is the frame at 1 / scale of its size (see `pyramid`); placement and lens are in px of the full frame.
     Returns the share of cells seen. Reads outside of the frame repeat its border.
     """
     height, width = image.shape
+    inverse, offset = 1.0 / scale, 0.5 * (scale - 1) / scale
     cells = patch.shape[0]
     n = cells * samples
     column = np.empty(n, np.int32)
@@ -52,12 +54,14 @@ def sample_patch(image, placement, lens, samples, patch, seen):
             x = middle_x + focal * math.tan(azimuth)
             y = middle_y + (y - middle_y) * stretch
             span *= stretch
+        x = x * inverse - offset
+        y = y * inverse - offset
         inside[i] = 1 if visible and -0.5 <= x <= width - 0.5 else 0
         x = min(max(x, 0.0), width - 1.001)
         column[i] = int(x)
         column_part[i] = x - column[i]
         row_middle[i] = y
-        row_span[i] = span
+        row_span[i] = span * inverse
     total = 0
     share = np.float32(1.0 / (samples * samples))
     low, high = np.float32(0.0), np.float32(height - 1.001)

@@ -36,7 +36,7 @@ def recursive_transform(row: np.ndarray, z: complex) -> np.ndarray:
 
 
 def sample_patch(
-    image: np.ndarray, placement: np.ndarray, lens: np.ndarray, samples: int, cells: int
+    image: np.ndarray, scale: int, placement: np.ndarray, lens: np.ndarray, samples: int, cells: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Patch (cells, cells) and which of its cells are in the frame (bool). See `kernels` for placement and lens."""
     height, width = image.shape
@@ -48,6 +48,7 @@ def sample_patch(
     if lens[0] > 0:
         azimuth = (x - lens[2]) / lens[1]
         x, y = lens[2] + lens[1] * np.tan(azimuth), lens[3] + (y - lens[3]) / np.cos(azimuth)
+    x, y = (x - (scale - 1) / 2) / scale, (y - (scale - 1) / 2) / scale
     cx, cy = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
     ix, iy = cx.astype(int), cy.astype(int)
     fx, fy = cx - ix, cy - iy
@@ -63,7 +64,7 @@ def sample_patch(
         row = lens[3] + (row - lens[3]) / np.cos(
             (middle_x + box_width * u[middle] * shrink[middle] - lens[2]) / lens[1]
         )
-    column = x[0, middle]
+    column, row = x[0, middle], (row - (scale - 1) / 2) / scale
     seen = (column >= -0.5) & (column <= width - 0.5) & (row >= -0.5) & (row <= height - 0.5)
     return patch, seen
 

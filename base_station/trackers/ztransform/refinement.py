@@ -28,7 +28,7 @@ ENOUGH_SEEN = 0.15
 
 @njit(cache=True, fastmath=True)
 def refine(
-    image, lens, placement, learned_patch, learned, maps, levels, gains, samples, tolerance, patch, seen, signature,
+    image, scale, samples, lens, placement, learned_patch, learned, maps, levels, gains, tolerance, patch, seen, signature,
     bands, pole_re, pole_im, weights, anchors, taper,
 ):  # fmt: skip
     """Improve `placement` in place; returns confidence -1..1, the share of the target in the frame, contrast.
@@ -41,7 +41,7 @@ def refine(
     together = gains[WIDTH] < 0
     step = np.zeros(5)
     for turn in range(len(levels) + 1):
-        share = sample_patch(image, placement, lens, samples, patch, seen)
+        share = sample_patch(image, scale, placement, lens, samples, patch, seen)
         if share < ENOUGH_SEEN:
             return 0.0, share, 0.0
         confidence = 0.0

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from base_station.trackers.ztransform.kernels import FREEDOMS, HEIGHT, KEYSTONE, WIDTH, X, Y
+from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.signature import SignatureReader
 
 
@@ -48,7 +49,7 @@ class RegressionSettings:
 
 
 def learn_maps(
-    image: np.ndarray,
+    pyramid: Pyramid,
     placement: np.ndarray,
     lens: np.ndarray,
     reader: SignatureReader,
@@ -59,12 +60,12 @@ def learn_maps(
     A step is (dx / width, dy / height, d log width, d log height, dq) in units of the placement it starts from.
     """
     rng = np.random.default_rng(settings.seed)
-    learned_patch = reader.patch(image, placement, lens)[0]
+    learned_patch = reader.patch(pyramid, placement, lens)[0]
     learned = reader.signature(learned_patch)[0]
     maps = np.empty((len(settings.levels), FREEDOMS, reader.size), np.float32)
     for level, disturbance in enumerate(settings.levels):
         placements, steps = _disturb(placement, disturbance, settings.samples, rng)
-        changes = np.stack([reader.read(image, p, lens, learned_patch) - learned for p in placements])
+        changes = np.stack([reader.read(pyramid, p, lens, learned_patch) - learned for p in placements])
         gram = (changes @ changes.T).astype(np.float64)
         gram[np.diag_indices_from(gram)] += settings.ridge * np.trace(gram) / len(gram) + 1e-9
         maps[level] = np.linalg.solve(gram, steps).T @ changes

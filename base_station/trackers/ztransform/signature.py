@@ -11,8 +11,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.kernels import fill_unseen, match_light, read_signature, sample_patch
+from base_station.trackers.ztransform.kernels import (
+    HEIGHT,
+    WIDTH,
+    fill_unseen,
+    match_light,
+    read_signature,
+    sample_patch,
+)
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
+from base_station.trackers.ztransform.pyramid import Pyramid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +63,15 @@ class SignatureReader:
         )
         """bands, pole_re, pole_im, weights, anchors, taper."""
 
-    def samples_for(self, width_px: float, height_px: float) -> int:
-        """Reads per cell and axis that keep the reads about two pixels apart, 1..4."""
-        return int(np.clip(np.ceil(max(width_px, height_px) / self.cells / 2.5), 1, 4))
+    def source(self, pyramid: Pyramid, placement: np.ndarray) -> tuple[np.ndarray, int, int]:
+        """Which image to read for this placement, its scale, reads per cell and axis."""
+        return pyramid.for_cell(max(placement[WIDTH], placement[HEIGHT]) / self.cells)
 
-    def patch(self, image: np.ndarray, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def patch(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Patch float32 (cells, cells), which cells the frame shows (uint8), and their share 0..1."""
         patch, seen = np.empty((self.cells,) * 2, np.float32), np.empty((self.cells,) * 2, np.uint8)
-        share = sample_patch(image, placement, lens, self.samples_for(placement[2], placement[3]), patch, seen)
+        image, scale, reads = self.source(pyramid, placement)
+        share = sample_patch(image, scale, placement, lens, reads, patch, seen)
         return patch, seen, share
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
@@ -71,9 +80,9 @@ class SignatureReader:
         length = read_signature(patch, *self.plan, out)
         return out, length
 
-    def read(self, image: np.ndarray, placement: np.ndarray, lens: np.ndarray, learned: np.ndarray) -> np.ndarray:
+    def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, learned: np.ndarray) -> np.ndarray:
         """Signature at a placement; cells outside of the frame are taken from the learned patch."""
-        patch, seen, share = self.patch(image, placement, lens)
+        patch, seen, share = self.patch(pyramid, placement, lens)
         if share < 1:
             gain, offset = match_light(patch, seen, learned)
             fill_unseen(patch, seen, learned, gain, offset)

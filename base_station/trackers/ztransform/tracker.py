@@ -15,6 +15,7 @@ from base_station.trackers.ztransform.acquisition import Acquisition, Acquisitio
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
 from base_station.trackers.ztransform.motion import Motion
 from base_station.trackers.ztransform.outline import left_side, lens_of, outline, place_placement, to_pixel
+from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.refinement import refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
@@ -40,7 +41,7 @@ class ZTransformSettings:
     """Of the frame's width; a target that looks wider than that is too near."""
     place_zooms: tuple[float, float] = (0.8, 1.25)
     """A learned place is searched for in this range only."""
-    tolerance: float = 0.0008
+    tolerance: float = 0.001
     """In target widths: refining ends when a step is smaller."""
     signature: SignatureSettings = field(default_factory=SignatureSettings)
     """How a patch is read."""
@@ -95,14 +96,14 @@ class ZTransformTracker:
 
     def learn(self, frame: Frame, target: Box | None) -> None:
         """Remember the target or place. Raises ValueError as `base.Tracker.learn` does."""
-        settings, image, lens = self._settings, _read_only(frame.image), lens_of(frame.camera, curved=target is None)
+        settings, pyramid, lens = self._settings, Pyramid(frame.image), lens_of(frame.camera, curved=target is None)
         if target is None:
             placement = place_placement(frame.camera)
         else:
-            self._check(target, image.shape)
+            self._check(target, frame.image.shape)
             x, y = target.center_px
             placement = np.array([x, y, target.width, target.height, 0.0])
-        patch, _, share = self._reader.patch(image, placement, lens)
+        patch, _, share = self._reader.patch(pyramid, placement, lens)
         if share < settings.least_share:
             raise ValueError(f"only {share:.0%} of the box is inside of the frame")
         texture = texture_of(patch, 1)
@@ -112,11 +113,11 @@ class ZTransformTracker:
             placement,
             patch,
             self._reader.signature(patch)[0],
-            learn_maps(image, placement, lens, self._reader, settings.regression),
-            image.shape,
+            learn_maps(pyramid, placement, lens, self._reader, settings.regression),
+            frame.image.shape,
             target is None,
         )
-        self._acquisition.learn(image, placement, lens)
+        self._acquisition.learn(pyramid.image, placement, lens)
         self._motion.start(placement, frame.time_s)
         self._is_tracking = True
 
@@ -129,10 +130,10 @@ class ZTransformTracker:
             (rows, columns), (old_rows, old_columns) = frame.image.shape, learned.shape
             return _lost(f"the frame is {columns}x{rows}, learned in {old_columns}x{old_rows}", 0.0)
         lens = lens_of(frame.camera, curved=learned.is_place)
-        image = _read_only(frame.image)
-        look = self._follow(image, frame.time_s, lens) if self._is_tracking else None
+        pyramid = Pyramid(frame.image)
+        look = self._follow(pyramid, frame.time_s, lens) if self._is_tracking else None
         if look is None:
-            look = self._search(image, frame.time_s, lens)
+            look = self._search(pyramid, frame.time_s, lens)
         if self._is_good(look, frame.image.shape):
             return self._tracked(frame, look, lens)
         self._is_tracking = False
@@ -142,24 +143,24 @@ class ZTransformTracker:
         """Let go of what was learned."""
         self._learned = None
 
-    def _follow(self, image: np.ndarray, time_s: float, lens: np.ndarray) -> _Look | None:
+    def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look | None:
         """Refine from the prediction, and if that fails from further afield; None if it is not there."""
         predicted = self._motion.predict(time_s)
         keep = self._settings.keep_confidence
-        look = self._refine(image, predicted, lens, _FOLLOW)
+        look = self._refine(pyramid, predicted, lens, _FOLLOW)
         if look.confidence >= keep:
             return look
-        wider = [self._refine(image, start, lens, _WIDER) for start in (predicted, self._motion.last)]
+        wider = [self._refine(pyramid, start, lens, _WIDER) for start in (predicted, self._motion.last)]
         best = max(wider, key=lambda other: other.confidence)
         return best if best.confidence >= keep else None
 
-    def _search(self, image: np.ndarray, time_s: float, lens: np.ndarray) -> _Look:
+    def _search(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look:
         """Acquisition, its candidates refined; the best of them if good enough, else one that is not believed."""
         assert self._learned is not None
         zooms = self._settings.place_zooms if self._learned.is_place else None
         best = _Look(self._motion.last, 0.0, 0.0)
-        for candidate in self._acquisition.find(image, lens, zooms, float(self._motion.last[Y])):
-            look = self._refine(image, candidate.placement, lens, _FROM_SEARCH)
+        for candidate in self._acquisition.find(pyramid.image, lens, zooms, float(self._motion.last[Y])):
+            look = self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH)
             if look.confidence > best.confidence:
                 best = look
         if best.confidence >= self._settings.regain_confidence:
@@ -167,14 +168,14 @@ class ZTransformTracker:
             return best
         return _Look(best.placement, min(best.confidence, self._settings.keep_confidence - 0.01), best.share)
 
-    def _refine(self, image: np.ndarray, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> _Look:
+    def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> _Look:
         learned = self._learned
         assert learned is not None
         placement = start.copy()
         confidence, share, _ = refine(
-            image, lens, placement, learned.patch, learned.signature, learned.maps, levels,
+            *self._reader.source(pyramid, start), lens, placement, learned.patch, learned.signature, learned.maps, levels,
             _FREE_PLACE if learned.is_place else _FREE,
-            self._reader.samples_for(start[WIDTH], start[HEIGHT]), self._settings.tolerance,
+            self._settings.tolerance,
             self._patch, self._seen, self._signature, *self._reader.plan,
         )  # fmt: skip
         return _Look(placement, float(confidence), float(share))
@@ -244,13 +245,6 @@ class ZTransformTracker:
         self._is_tracking = False
         self.update(frame)
         self._settings, self._learned = kept, None
-
-
-def _read_only(image: np.ndarray) -> np.ndarray:
-    """The image as the one array type that the kernels are compiled for."""
-    view = np.ascontiguousarray(image).view()
-    view.flags.writeable = False
-    return view
 
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
