@@ -23,9 +23,10 @@ from robot_agent.sim.projection import PictureView
 
 _NO_EGL = (
     "MuJoCo cannot draw: EGL is not usable here; install the Debian packages libegl1 and libgl1-mesa-dri"
-    " (apt-get install libegl1 libgl1-mesa-dri)."
+    " (apt-get install libegl1 libgl1-mesa-dri), and leave MUJOCO_GL unset or egl."
 )
 _SETTLE_STEPS = 400
+_RAY_RUN_UP_M = 0.01
 _CV_FROM_MUJOCO = np.diag((1.0, -1.0, -1.0))
 """MuJoCo's cameras have y up and look along -z."""
 
@@ -37,7 +38,7 @@ def load_mujoco() -> ModuleType:
         return importlib.import_module("mujoco")
     except ModuleNotFoundError as error:
         raise AgentError("The simulator needs MuJoCo: install the extra with pip install 'zservo[sim]'.") from error
-    except (ImportError, AttributeError, OSError) as error:  # what PyOpenGL raises without a libEGL
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # PyOpenGL without libEGL raises many things
         raise AgentError(_NO_EGL) from error
 
 
@@ -100,27 +101,21 @@ class Engine:
     def sense(self) -> tuple[float, ...]:
         """Distances (m) ahead of the proximity sensors, infinite when nothing is there."""
         pose = self.robot_pose
-        rays = (pose.moved(ahead_m=x, left_m=y, turned_rad=angle) for x, y, angle in thymio.sensors())
         return tuple(
-            self._first_hit(
-                (ray.x_m, ray.y_m, thymio.SENSOR_HEIGHT_M), (math.cos(ray.heading_rad), math.sin(ray.heading_rad), 0.0)
-            )[0]
-            for ray in rays
+            self._distance_ahead(pose.moved(ahead_m=x, left_m=y, turned_rad=angle)) for x, y, angle in thymio.sensors()
         )
 
     def picture_view(self) -> PictureView | None:
         """The picture in camera coordinates; None without one."""
         if self._picture_geom < 0:
             return None
-        axes = self._data.geom_xmat[self._picture_geom].reshape(3, 3)
+        centre, axes = self._printed_face()
         half_m = float(self._model.geom_size[self._picture_geom][0])
-        thickness_m = float(self._model.geom_size[self._picture_geom][2])
-        face = self._data.geom_xpos[self._picture_geom] + axes[:, 2] * thickness_m
         offsets = np.array([(-half_m, half_m), (half_m, half_m), (half_m, -half_m), (-half_m, -half_m)])
-        corners = face + offsets @ axes[:, :2].T
+        corners = centre + offsets @ axes[:, :2].T
         eye, camera_from_world = self._camera_frame()
         return PictureView(
-            centre=camera_from_world @ (face - eye),
+            centre=camera_from_world @ (centre - eye),
             corners=(corners - eye) @ camera_from_world.T,
             normal=camera_from_world @ axes[:, 2],
         )
@@ -130,9 +125,10 @@ class Engine:
         """Where the picture stands; its heading is the way one looks at it squarely. None without a picture."""
         if self._picture_geom < 0:
             return None
-        x, y, _ = self._data.geom_xpos[self._picture_geom]
-        normal = self._data.geom_xmat[self._picture_geom].reshape(3, 3)[:, 2]
-        return Pose(x_m=float(x), y_m=float(y), heading_rad=math.atan2(-normal[1], -normal[0]))
+        centre, axes = self._printed_face()
+        return Pose(
+            x_m=float(centre[0]), y_m=float(centre[1]), heading_rad=math.atan2(-float(axes[1, 2]), -float(axes[0, 2]))
+        )
 
     def sees(self, point: np.ndarray) -> bool:
         """Whether nothing but the picture itself is on the line of sight to `point` (3,), in camera coordinates."""
@@ -174,6 +170,19 @@ class Engine:
 
     def _camera_frame(self) -> tuple[np.ndarray, np.ndarray]:
         return self._data.cam_xpos[self._camera], _CV_FROM_MUJOCO @ self._data.cam_xmat[self._camera].reshape(3, 3).T
+
+    def _distance_ahead(self, sensor: Pose) -> float:
+        """The ray starts inside the robot: at contact, the sensor itself may be a hair inside the obstacle."""
+        inside = sensor.moved(ahead_m=-_RAY_RUN_UP_M)
+        way = math.cos(inside.heading_rad), math.sin(inside.heading_rad), 0.0
+        hit_m, _ = self._first_hit((inside.x_m, inside.y_m, thymio.SENSOR_HEIGHT_M), way)
+        return max(0.0, hit_m - _RAY_RUN_UP_M)
+
+    def _printed_face(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its centre (3,), and as columns (3, 3) the viewer's right, up, and the direction that it looks to."""
+        axes = self._data.geom_xmat[self._picture_geom].reshape(3, 3)
+        thickness_m = float(self._model.geom_size[self._picture_geom][2])
+        return self._data.geom_xpos[self._picture_geom] + axes[:, 2] * thickness_m, axes
 
     def _first_hit(self, origin: Any, direction: Any) -> tuple[float, int]:
         geom = np.full(1, -1, np.int32)

@@ -21,7 +21,8 @@ SENSED_GROUP, OWN_GROUP = 0, 3
 """Geometry groups: what proximity sensors and lines of sight meet, and the robot's own parts."""
 
 _WALLS = ("east", "north", "west", "south")
-_SLAB_M = 0.01
+_WALL_HALF_M, _SLAB_HALF_M = 0.01, 0.001
+_WHEEL_HALF_M, _WHEEL_MIDDLE_M = 0.008, 0.0485
 _PLAIN_WALL_GRAY, _PLAIN_FLOOR_GRAY = 150, 128
 _FLOOR_PX, _WALL_PX, _PICTURE_PX = (2048, 2048), (512, 2048), (512, 512)
 
@@ -45,9 +46,6 @@ def build_model(
         f'<material name="{name}" texture="{name}" emission="1" specular="0" shininess="0"/>'
         for name in images
     )
-    vertices = " ".join(
-        f"{x:.5f} {y:.5f} {z}" for x, y in thymio.outline() for z in (thymio.BODY_BOTTOM_M, thymio.BODY_TOP_M)
-    )
     mjcf = f"""<mujoco model="zservo">
 <compiler angle="radian"/>
 <option timestep="{timestep_s!r}" integrator="implicitfast" cone="elliptic" impratio="10"/>
@@ -55,8 +53,9 @@ def build_model(
 <visual><global offwidth="{width}" offheight="{height}"/><quality offsamples="0" shadowsize="0"/>
 <map znear="0.01" zfar="20"/><headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/></visual>
 <default><geom contype="0" conaffinity="0" group="{SENSED_GROUP}"/>
-<default class="obstacle"><geom contype="2"/></default><default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
-<asset>{assets}{_shades()}<mesh name="thymio" vertex="{vertices}"/></asset>
+<default class="obstacle"><geom contype="2"/></default>
+<default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
+<asset>{assets}{_shades()}{_meshes()}</asset>
 <worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, fovy_deg)}</worldbody>
 <actuator>{_motors()}</actuator>
 </mujoco>"""
@@ -81,10 +80,24 @@ def _png(image: np.ndarray) -> bytes:
 
 
 def _shades() -> str:
-    grays = {"ceiling": 0.84, "screen": 0.53, "body": 0.93, "tyre": 0.12, "trim": 0.45, "back": 0.70}
+    grays = {"ceiling": 0.84, "screen": 0.53, "body": 0.93, "tyre": 0.12, "lid": 0.78, "trim": 0.45, "back": 0.70}
     return "".join(
         f'<material name="{name}" rgba="{g} {g} {g} 1" emission="1" specular="0" shininess="0"/>'
         for name, g in grays.items()
+    )
+
+
+def _meshes() -> str:
+    """Convex hulls of their corners: the body, and a lid that makes its shape readable without shading."""
+    solids = {
+        "thymio": (thymio.BODY_BOTTOM_M, thymio.BODY_TOP_M, 1.0),
+        "lid": (thymio.BODY_TOP_M, thymio.BODY_TOP_M + 0.001, 0.95),
+    }
+    return "".join(
+        f'<mesh name="{name}" vertex="'
+        + " ".join(f"{x * scale:.5f} {y * scale:.5f} {z}" for x, y in thymio.outline() for z in (bottom, top))
+        + '"/>'
+        for name, (bottom, top, scale) in solids.items()
     )
 
 
@@ -93,14 +106,15 @@ def _room(stage: scenarios.Stage) -> str:
     parts = [
         f'<geom name="floor" type="plane" size="{half} {half} 1" material="floor" contype="1" friction="1.5 0 0"'
         f' solref="0.005 1"/>',
-        f'<geom type="box" size="{half} {half} {_SLAB_M}" pos="0 0 {WALL_HEIGHT_M + _SLAB_M}" material="ceiling"/>',
+        f'<geom type="box" size="{half} {half} {_WALL_HALF_M}" pos="0 0 {WALL_HEIGHT_M + _WALL_HALF_M}"'
+        ' material="ceiling"/>',
     ]
     for quarter, name in enumerate(_WALLS):
         x, y = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
-        reach = half + _SLAB_M
+        reach = half + _WALL_HALF_M
         # Axes: along the wall to the right as seen from inside, then up; the box's z axis points into the room.
         parts.append(
-            f'<geom name="{name}" class="obstacle" type="box" size="{half} {wall} {_SLAB_M}" material="{name}"'
+            f'<geom name="{name}" class="obstacle" type="box" size="{half} {wall} {_WALL_HALF_M}" material="{name}"'
             f' pos="{x * reach} {y * reach} {wall}" xyaxes="{y} {-x} 0 0 0 1"/>'
         )
     if stage.picture is not None and stage.picture.wall_pose is not None:
@@ -116,12 +130,13 @@ def _room(stage: scenarios.Stage) -> str:
 
 
 def _picture_geom(picture: scenarios.Picture, pose: Pose) -> str:
-    """A thin slab whose printed face (the box's +z) looks against the pose's heading, +x to the viewer's right."""
-    right, half = pose.moved(turned_rad=-np.pi / 2), picture.side_m / 2
-    axis_x, axis_y = np.cos(right.heading_rad), np.sin(right.heading_rad)
+    """A thin slab whose printed face (the box's +z) stands at the pose and looks against its heading; the box's +x is
+    to the viewer's right."""
+    half, inside = picture.side_m / 2, pose.moved(ahead_m=_SLAB_HALF_M)
+    axis_x, axis_y = np.sin(pose.heading_rad), -np.cos(pose.heading_rad)
     return (
-        f'<geom name="picture" class="obstacle" type="box" size="{half} {half} 0.001" material="picture"'
-        f' pos="{pose.x_m} {pose.y_m} {picture.centre_height_m}" xyaxes="{axis_x:.9f} {axis_y:.9f} 0 0 0 1"/>'
+        f'<geom name="picture" class="obstacle" type="box" size="{half} {half} {_SLAB_HALF_M}" material="picture"'
+        f' pos="{inside.x_m} {inside.y_m} {picture.centre_height_m}" xyaxes="{axis_x:.9f} {axis_y:.9f} 0 0 0 1"/>'
     )
 
 
@@ -133,12 +148,14 @@ def _leader(stage: scenarios.Stage) -> str:
     board = _picture_geom(picture, Pose(x_m=behind, y_m=0.0, heading_rad=0.0))
     half = picture.side_m / 2
     wheels = "".join(
-        f'<geom type="cylinder" size="{thymio.WHEEL_RADIUS_M} 0.008" pos="0 {y} {thymio.WHEEL_RADIUS_M}"'
+        f'<geom type="cylinder" size="{thymio.WHEEL_RADIUS_M} {_WHEEL_HALF_M}" pos="0 {y} {thymio.WHEEL_RADIUS_M}"'
         ' euler="1.5707963 0 0" material="tyre"/>'
-        for y in (-0.047, 0.047)
+        for y in (-_WHEEL_MIDDLE_M, _WHEEL_MIDDLE_M)
     )
     return (
-        f'<body name="leader" mocap="true" {_standing(stage.leader(0.0))}><geom class="obstacle" type="mesh" mesh="thymio" material="body"/>'
+        f'<body name="leader" mocap="true" {_standing(stage.leader(0.0))}>'
+        '<geom class="obstacle" type="mesh" mesh="thymio" material="body"/>'
+        '<geom type="mesh" mesh="lid" material="lid"/>'
         f'{wheels}<geom type="box" size="0.002 {half} {half}" pos="{behind + 0.0035} 0 {picture.centre_height_m}"'
         f' material="back"/><geom type="box" size="0.012 0.05 0.004" pos="0.02 0 0.056" material="trim"/>{board}</body>'
     )

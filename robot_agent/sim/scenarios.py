@@ -74,9 +74,7 @@ def build_stage(name: str, seed: int) -> Stage:
 
 
 def _poster(rng: np.random.Generator) -> Stage:
-    wall = Pose(
-        x_m=courses.ROOM_HALF_SIZE_M - _POSTER_OFF_WALL_M, y_m=float(rng.uniform(-1.2, 1.2)), heading_rad=0.0
-    )
+    wall = Pose(x_m=courses.ROOM_HALF_SIZE_M - _POSTER_OFF_WALL_M, y_m=float(rng.uniform(-1.2, 1.2)), heading_rad=0.0)
     goal = wall.moved(ahead_m=-POSTER_GOAL_M)
     turn_rad = POSTER_TURN_RAD * float(rng.choice((-1.0, 1.0)))
     return Stage(

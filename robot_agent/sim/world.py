@@ -186,7 +186,8 @@ class World:
         middle = exposures[len(exposures) // 2]
         with self._lock:
             self._truth = middle.truth
-        return CameraFrame(image=self._noise.add_to(_developed(exposures)), capture_s=middle.time_s)
+        image = self._noise.add_to(_developed(exposures))
+        return CameraFrame(image=image, capture_s=middle.time_s, truth=middle.truth)
 
     def close(self) -> None:
         """Free the drawing resources. No frame comes after this."""
