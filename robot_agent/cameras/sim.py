@@ -42,6 +42,10 @@ class SimCamera:
         self._zero_s: float | None = None
         """What the wall clock showed when simulated time was zero, lost ground included."""
 
+    def begin(self) -> None:
+        """Let the scenario start."""
+        self._world.start()
+
     def read(self, timeout_s: float) -> CameraFrame | None:
         """Wait for the next frame that is not lost. None when none came in time; in lockstep only when the camera
         hangs. Raises CameraError after `close`."""

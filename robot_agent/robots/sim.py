@@ -8,7 +8,7 @@ from robot_agent.sim import World
 
 
 class SimRobot:
-    """Drives the robot of a world. Implements Robot and Simulated."""
+    """Drives the robot of a world. Implements Robot."""
 
     kind = "sim"
 
