@@ -1,7 +1,8 @@
 """Phase correlation, the plain reference: where has the picture moved, if nothing but a shift happened.
 
 The patch learned is compared with the patch of the same size where the target was last (the whole view for a place);
-the peak of the phase correlation is the shift between the two. It knows no zoom and no rotation.
+the peak of the phase correlation is the shift between the two. It knows no zoom and no rotation. The peak's height says
+little where the patch is small, so the patch that it points at is compared with the learned one as well.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from base_station.types import Box, Frame, TrackerResult, TrackingState
 class PhaseSettings:
     """When to believe the peak."""
 
-    least_response: float = 0.08
-    """Of cv2.phaseCorrelate, 0..1: the energy under the peak. Views of other things give 0.03."""
+    least_response: float = 0.02
+    """Of cv2.phaseCorrelate, 0..1: the share of the spectrum's energy under the peak."""
+    least_agreement: float = 0.5
+    """Correlation of the learned patch with the one at the peak: what the response of a small patch cannot tell."""
     least_contrast: float = 2.0
     """Standard deviation of the patch, grey levels."""
     smallest_side_px: int = 8
@@ -66,6 +69,9 @@ class PhaseTracker:
         if response < self._settings.least_response:
             return _lost(f"the target is hidden or gone (response {response:.2f})", response)
         x, y = start[0] + dx, start[1] + dy
+        agreement = self._agreement(_cut(frame.image, x, y, columns, rows))
+        if agreement < self._settings.least_agreement:
+            return _lost(f"the target is hidden or gone (agreement {agreement:.2f})", agreement)
         if not self._is_place and not (0 <= x < frame.image.shape[1] and 0 <= y < frame.image.shape[0]):
             return _lost("the target left the frame")
         self._last_at = (x, y)
@@ -75,9 +81,15 @@ class PhaseTracker:
             shift_y_px=y - self._learned_at[1],
             bearing_rad=frame.camera.bearing_rad(x),
             elevation_rad=frame.camera.elevation_rad(y),
-            confidence=min(max(response, 0.0), 1.0),
+            confidence=min(agreement, 1.0),
             box=Box.around(x, y, columns, rows),
         )
+
+    def _agreement(self, patch: np.ndarray) -> float:
+        """Normalised correlation under the window, -1..1."""
+        assert self._learned is not None
+        one, other = self._learned * self._window, patch * self._window
+        return float((one * other).sum() / max(float(np.sqrt((one**2).sum() * (other**2).sum())), 1e-6))
 
     def close(self) -> None:
         """Let go of what was learned."""
@@ -85,9 +97,13 @@ class PhaseTracker:
 
 
 def _cut(image: np.ndarray, x: float, y: float, columns: int, rows: int) -> np.ndarray:
-    """The patch about x, y with sub-pixel reads, float32 (rows, columns); outside, the border repeats."""
-    return cv2.getRectSubPix(image, (columns, rows), (x, y), patchType=cv2.CV_32F)
+    """The patch about x, y less its mean, float32 (rows, columns); outside of the frame, the border repeats.
+
+    Without its mean, because the window's own spectrum about 0 would otherwise agree with itself: a peak at no shift.
+    """
+    patch = cv2.getRectSubPix(image, (columns, rows), (x, y), patchType=cv2.CV_32F)
+    return patch - patch.mean()
 
 
-def _lost(reason: str, response: float = 0.0) -> TrackerResult:
-    return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(response, 0.0), 1.0))
+def _lost(reason: str, confidence: float = 0.0) -> TrackerResult:
+    return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(confidence, 0.0), 1.0))
