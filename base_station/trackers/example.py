@@ -4,8 +4,8 @@ Copy this file, change `update`, and run it without touching anything else:
 
     base-station run --tracker base_station/trackers/example.py:TorchTracker
 
-A tracker is any class without constructor arguments that has the three methods below. `learn` remembers, `update` looks
-at one frame, `close` lets go. Rules: never write to the frame's image, read no clock but `frame.time_s`, and when you do
+A tracker is any class without constructor arguments that has three methods. `learn` remembers, `update` looks at
+one frame, `close` lets go. Rules: never write to the frame's image, read no clock but `frame.time_s`, and when you do
 not see the target return LOST with the reason in words: a robot drives by what you return.
 """
 

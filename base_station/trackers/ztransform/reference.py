@@ -87,3 +87,28 @@ def read_signature(
             window = np.where(u > 0, u * p ** np.maximum(u, 0), 0)
             out[:, k, side] = weight * (d @ window.T)
     return out / np.sqrt((np.abs(out) ** 2).sum())
+
+
+def read_field(profile: np.ndarray, poles: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Second-order transform of a profile's difference about every cell, complex, shape (cells, poles, 2 sides)."""
+    cells = len(profile)
+    padded = np.concatenate([profile[:1], profile, profile[-1:]]).astype(float)
+    d = (padded[2:] - padded[:-2]) / 2
+    distance = np.arange(cells)[None] - np.arange(cells)[:, None]
+    out = np.empty((cells, len(poles), 2), complex)
+    for k, (p, weight) in enumerate(zip(poles, weights, strict=True)):
+        for side, u in enumerate((distance, -distance)):
+            out[:, k, side] = weight * (np.where(u > 0, u * p ** np.maximum(u, 0), 0) @ d)
+    return out
+
+
+def score_positions(fields: np.ndarray, learned: np.ndarray, anchors: np.ndarray, least_share: float) -> np.ndarray:
+    """Normalised correlation with the target's middle at each cell; -1 where too little of it is in the frame."""
+    cells = fields.shape[1]
+    scores = np.full(cells, -1.0)
+    for m in range(cells):
+        inside = (m + anchors >= 0) & (m + anchors < cells)
+        here, there = fields[:, (m + anchors)[inside]].transpose(1, 0, 2), learned[inside]
+        if (there**2).sum() >= least_share * (learned**2).sum():
+            scores[m] = (here * there).sum() / np.sqrt((here**2).sum() * (there**2).sum() + 1e-9)
+    return scores

@@ -28,8 +28,8 @@ ENOUGH_SEEN = 0.15
 
 @njit(cache=True, fastmath=True)
 def refine(
-    image, scale, samples, lens, placement, learned_patch, learned, maps, levels, gains, tolerance, patch, seen, signature,
-    bands, pole_re, pole_im, weights, anchors, taper,
+    image, scale, samples, lens, placement, learned_patch, learned, maps, levels, gains, tolerance,
+    patch, seen, signature, bands, pole_re, pole_im, weights, anchors, taper,
 ):  # fmt: skip
     """Improve `placement` in place; returns confidence -1..1, the share of the target in the frame, contrast.
 

@@ -173,9 +173,8 @@ class ZTransformTracker:
         assert learned is not None
         placement = start.copy()
         confidence, share, _ = refine(
-            *self._reader.source(pyramid, start), lens, placement, learned.patch, learned.signature, learned.maps, levels,
-            _FREE_PLACE if learned.is_place else _FREE,
-            self._settings.tolerance,
+            *self._reader.source(pyramid, start), lens, placement, learned.patch, learned.signature, learned.maps,
+            levels, _FREE_PLACE if learned.is_place else _FREE, self._settings.tolerance,
             self._patch, self._seen, self._signature, *self._reader.plan,
         )  # fmt: skip
         return _Look(placement, float(confidence), float(share))

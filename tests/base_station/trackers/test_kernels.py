@@ -1,0 +1,163 @@
+"""The compiled kernels against their plain definitions, and the properties of the transform that they rest on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from base_station.trackers.ztransform import reference
+from base_station.trackers.ztransform.kernels import fill_unseen, match_light, sample_patch
+from base_station.trackers.ztransform.poles import PoleSettings, decay_rates, scale_weights, spiral_poles
+from base_station.trackers.ztransform.search_kernels import band_profile, read_field, score_positions, sum_rows
+from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
+
+POLES = st.builds(lambda s, b: complex(np.exp(s * (1 + 1j * b))), st.floats(0.02, 1.5), st.floats(0, 3))
+
+
+@given(seed=st.integers(0, 999), z=POLES, n0=st.integers(0, 60))
+def test_shift_property_is_exact(seed, z, n0):
+    row = np.random.default_rng(seed).uniform(0, 255, 300)
+    shifted = reference.shifted_transform(reference.one_sided_transform(row, 0, z), row[:n0], z)
+    assert shifted == pytest.approx(reference.one_sided_transform(row, n0, z), rel=1e-6 * abs(z) ** n0, abs=1e-6)
+
+
+@given(seed=st.integers(0, 999), z=POLES, anchor=st.integers(0, 199))
+def test_recursion_gives_the_transform_about_every_pixel(seed, z, anchor):
+    row = np.random.default_rng(seed).uniform(0, 255, 200)
+    assert reference.recursive_transform(row, z)[anchor] == pytest.approx(
+        reference.one_sided_transform(row, anchor, z), rel=1e-9
+    )
+
+
+@given(seed=st.integers(0, 999), z=POLES)
+def test_second_order_is_the_derivative(seed, z):
+    row = np.random.default_rng(seed).uniform(-1, 1, 100)
+    h = 1e-6
+    slope = (reference.one_sided_transform(row, 0, z + h) - reference.one_sided_transform(row, 0, z - h)) / (2 * h)
+    assert reference.one_sided_transform(row, 0, z, order=2) == pytest.approx(-z * slope, rel=1e-3, abs=1e-4)
+
+
+def test_below_one_the_far_end_outweighs_all():
+    """z = 0.9, as in the thesis: the weight of the last of 320 pixels against the first."""
+    assert 0.9**-319 > 1e14
+
+
+def test_enlarging_shifts_along_the_scale_index():
+    """X(s) of a signal enlarged by g is g X(g s): with s in a geometric series, a step of g is a step of the index."""
+    bank = PoleSettings(count=9, longest_cells=400.0, shortest_cells=25.0)
+    rates = decay_rates(bank)
+    g = rates[1] / rates[0]
+    u = np.arange(6000)
+
+    def transform(signal):
+        return np.array([np.sum(signal(u) * p**u) for p in spiral_poles(bank)])
+
+    def signal(x):
+        return np.exp(-(((x - 300) / 90) ** 2)) * np.cos(x / 40)
+
+    small, large = transform(signal), transform(lambda x: signal(x / g))
+    np.testing.assert_allclose(large[:-1], g * small[1:], rtol=2e-2, atol=1e-2 * np.abs(small).max())
+
+
+def test_poles_lie_inside_the_unit_circle_on_a_logarithmic_spiral():
+    bank = PoleSettings(count=5, longest_cells=20, shortest_cells=2, slope=1.5)
+    poles = spiral_poles(bank)
+    assert (np.abs(poles) < 1).all()
+    np.testing.assert_allclose(-np.log(np.abs(poles)), decay_rates(bank))
+    ratio = decay_rates(bank)[1:] / decay_rates(bank)[:-1]
+    np.testing.assert_allclose(ratio, ratio[0])
+    assert scale_weights(bank)[1] == pytest.approx(decay_rates(bank)[1] ** 1.5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(-40, 200),
+    y=st.floats(-30, 140),
+    width=st.floats(12, 300),
+    height=st.floats(12, 200),
+    keystone=st.floats(-0.4, 0.4),
+    curved=st.booleans(),
+    scale=st.sampled_from([1, 2, 4]),
+    samples=st.integers(1, 4),
+)
+def test_sample_patch_is_its_definition(x, y, width, height, keystone, curved, scale, samples):
+    image = np.random.default_rng(1).integers(0, 256, (100 // scale, 160 // scale), np.uint8)
+    image.flags.writeable = False
+    placement = np.array([x, y, width, height, keystone])
+    lens = np.array([float(curved), 300.0, 79.5, 49.5])
+    patch, seen = np.empty((16, 16), np.float32), np.empty((16, 16), np.uint8)
+    share = sample_patch(image, scale, placement, lens, samples, patch, seen)
+    plain, plain_seen = reference.sample_patch(image, scale, placement, lens, samples, 16)
+    np.testing.assert_allclose(patch, plain, atol=0.1)
+    assert share == pytest.approx(plain_seen.mean(), abs=0.02)  # float32 rounds cells that lie on the very border
+
+
+def test_signature_is_its_definition():
+    for bands, cells in ((4, 48), (3, 32), (2, 21)):
+        options = SignatureSettings(cells=cells, bands=bands, anchors=5)
+        reader = SignatureReader(options)
+        patch = np.random.default_rng(cells).uniform(0, 255, (cells, cells)).astype(np.float32)
+        fast, length = reader.signature(patch)
+        _, _, _, weights, anchors, taper = reader.plan
+        plain = reference.read_signature(patch, bands, spiral_poles(options.poles), weights, anchors, taper)
+        np.testing.assert_allclose(fast[::2] + 1j * fast[1::2], plain.ravel(), atol=2e-5)
+        assert np.linalg.norm(fast) == pytest.approx(1, abs=1e-5)
+        assert length > 0
+
+
+def test_signature_does_not_see_gain_and_offset():
+    reader = SignatureReader(SignatureSettings())
+    patch = np.random.default_rng(0).uniform(0, 200, (48, 48)).astype(np.float32)
+    other = (0.3 * patch + 40).astype(np.float32)
+    np.testing.assert_allclose(reader.signature(patch)[0], reader.signature(other)[0], atol=1e-4)
+
+
+def test_what_is_not_seen_is_taken_from_the_reference_in_this_light():
+    rng = np.random.default_rng(0)
+    learned = rng.uniform(0, 255, (20, 20)).astype(np.float32)
+    patch = (0.5 * learned + 20).astype(np.float32)
+    whole = patch.copy()
+    seen = np.ones((20, 20), np.uint8)
+    seen[:, 13:] = 0
+    patch[:, 13:] = 0
+    gain, offset = match_light(patch, seen, learned)
+    assert (gain, offset) == (pytest.approx(0.5, abs=1e-4), pytest.approx(20, abs=0.05))
+    fill_unseen(patch, seen, learned, gain, offset)
+    np.testing.assert_allclose(patch, whole, atol=0.1)
+
+
+def test_band_profile_is_the_mean_of_its_cells():
+    image = np.random.default_rng(2).integers(0, 256, (60, 90), np.uint8)
+    image.flags.writeable = False
+    sums = np.empty((61, 90), np.int32)
+    sum_rows(image, sums)
+    edges = np.array([3.0, 10.0, 20.5, 33.25])
+    cells = np.empty(3, np.float32)
+    band_profile(sums, 7.0, 19.0, edges, np.empty(91), cells)
+    rows = image[7:19].mean(0)
+    expected = [rows[3:10].mean(), np.append(rows[10:20], rows[20] / 2).sum() / 10.5]
+    expected.append((rows[20] / 2 + rows[21:33].sum() + rows[33] / 4) / 12.75)
+    np.testing.assert_allclose(cells, expected, rtol=1e-5)
+
+
+def test_field_and_scores_are_their_definitions():
+    rng = np.random.default_rng(3)
+    bank = PoleSettings(count=3, longest_cells=5, shortest_cells=2)
+    poles, weights = spiral_poles(bank), scale_weights(bank)
+    profile = rng.uniform(0, 255, 50).astype(np.float32)
+    field = np.empty((50, 3, 2, 2), np.float32)
+    read_field(profile, *(a.astype(np.float32) for a in (poles.real, poles.imag, weights)), field)
+    plain = reference.read_field(profile, poles, weights)
+    np.testing.assert_allclose(field[..., 0] + 1j * field[..., 1], plain, atol=1e-3 * np.abs(plain).max())
+
+    anchors = np.array([-6, 0, 6])
+    fields = field.reshape(1, 50, -1)
+    learned = np.ascontiguousarray(fields[:, 25 + anchors].transpose(1, 0, 2))
+    energy = np.square(learned).sum((1, 2))
+    scores = np.empty(50, np.float32)
+    score_positions(fields, learned, energy, anchors, 0.6, scores)
+    assert int(scores.argmax()) == 25
+    assert scores[25] == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(scores, reference.score_positions(fields, learned, anchors, 0.6), atol=1e-4)
