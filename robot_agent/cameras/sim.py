@@ -104,7 +104,7 @@ class SimCamera:
             if behind_s > _MAX_CATCH_UP_S:
                 self._zero_s += behind_s - _MAX_CATCH_UP_S
             slice_s = min(_SLICE_S, time_s - now_s)
-            if behind_s < slice_s:
+            if behind_s < slice_s - _SAME_TIME_S:
                 self._sleep(min(slice_s - behind_s, deadline_s - clock_s))
             else:
                 self._world.advance_to(now_s + slice_s)
