@@ -31,6 +31,10 @@ class ZTransformSettings:
     """While tracking, a resemblance below this is not the target."""
     regain_confidence: float = 0.65
     """After it was lost, a resemblance below this is not the target yet."""
+    surprise: float = 0.12
+    """A resemblance by this much below the usual is looked into: perhaps the true place is another."""
+    beyond_doubt: float = 0.85
+    """A resemblance at which a search needs not look at further candidates."""
     least_share: float = 0.35
     """Of the target that must lie in the frame."""
     least_texture: float = 1.5
@@ -49,6 +53,10 @@ class ZTransformSettings:
     """How its changes are learned."""
     acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
     """How it is searched for."""
+
+
+USUAL_RATE = 0.1
+"""Of the running mean of confidences, per frame."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,7 @@ class ZTransformTracker:
         self._signature = np.empty(self._reader.size, np.float32)
         self._learned: _Learned | None = None
         self._motion = Motion()
-        self._is_tracking = False
+        self._is_tracking, self._usual_confidence = False, 0.0
         self._warm_up()
 
     def learn(self, frame: Frame, target: Box | None) -> None:
@@ -119,7 +127,7 @@ class ZTransformTracker:
         )
         self._acquisition.learn(pyramid.image, placement, lens)
         self._motion.start(placement, frame.time_s)
-        self._is_tracking = True
+        self._is_tracking, self._usual_confidence = True, 1.0
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
@@ -131,10 +139,8 @@ class ZTransformTracker:
             return _lost(f"the frame is {columns}x{rows}, learned in {old_columns}x{old_rows}", 0.0)
         lens = lens_of(frame.camera, curved=learned.is_place)
         pyramid = Pyramid(frame.image)
-        look = self._follow(pyramid, frame.time_s, lens) if self._is_tracking else None
-        if look is None:
-            look = self._search(pyramid, frame.time_s, lens)
-        if self._is_good(look, frame.image.shape):
+        look, is_believed = self._look(pyramid, frame.time_s, lens)
+        if is_believed and self._is_possible(look, frame.image.shape):
             return self._tracked(frame, look, lens)
         self._is_tracking = False
         return _lost(self._why(frame, look), look.confidence)
@@ -143,30 +149,40 @@ class ZTransformTracker:
         """Let go of what was learned."""
         self._learned = None
 
-    def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look | None:
-        """Refine from the prediction, and if that fails from further afield; None if it is not there."""
-        predicted = self._motion.predict(time_s)
-        keep = self._settings.keep_confidence
-        look = self._refine(pyramid, predicted, lens, _FOLLOW)
-        if look.confidence >= keep:
-            return look
-        wider = [self._refine(pyramid, start, lens, _WIDER) for start in (predicted, self._motion.last)]
-        best = max(wider, key=lambda other: other.confidence)
-        return best if best.confidence >= keep else None
+    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[_Look, bool]:
+        """The best that can be made of this frame, and whether to believe that it is the target."""
+        settings, followed = self._settings, None
+        if self._is_tracking:
+            followed = self._follow(pyramid, time_s, lens)
+            is_usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
+            if is_usual and followed.confidence >= settings.keep_confidence:
+                return followed, True
+        found = self._search(pyramid, lens)
+        if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
+            return found, True
+        if followed:
+            return followed, followed.confidence >= settings.keep_confidence
+        return found, False
 
-    def _search(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look:
-        """Acquisition, its candidates refined; the best of them if good enough, else one that is not believed."""
+    def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look:
+        """Refine from the prediction; if it looks worse than usual, from further afield."""
+        predicted = self._motion.predict(time_s)
+        best = self._refine(pyramid, predicted, lens, _FOLLOW)
+        for start in (predicted, self._motion.last):
+            if best.confidence < max(self._usual_confidence - self._settings.surprise, self._settings.keep_confidence):
+                best = _better(best, self._refine(pyramid, start, lens, _WIDER))
+        return best
+
+    def _search(self, pyramid: Pyramid, lens: np.ndarray) -> _Look:
+        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed."""
         assert self._learned is not None
         zooms = self._settings.place_zooms if self._learned.is_place else None
         best = _Look(self._motion.last, 0.0, 0.0)
         for candidate in self._acquisition.find(pyramid.image, lens, zooms, float(self._motion.last[Y])):
-            look = self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH)
-            if look.confidence > best.confidence:
-                best = look
-        if best.confidence >= self._settings.regain_confidence:
-            self._motion.start(best.placement, time_s)
-            return best
-        return _Look(best.placement, min(best.confidence, self._settings.keep_confidence - 0.01), best.share)
+            best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
+            if best.confidence > self._settings.beyond_doubt:
+                break
+        return best
 
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> _Look:
         learned = self._learned
@@ -179,11 +195,10 @@ class ZTransformTracker:
         )  # fmt: skip
         return _Look(placement, float(confidence), float(share))
 
-    def _is_good(self, look: _Look, shape: tuple[int, int]) -> bool:
+    def _is_possible(self, look: _Look, shape: tuple[int, int]) -> bool:
         p, settings = look.placement, self._settings
         return bool(
-            look.confidence >= settings.keep_confidence
-            and look.share >= settings.least_share
+            look.share >= settings.least_share
             and min(p[WIDTH], p[HEIGHT]) >= settings.smallest_side_px
             and p[WIDTH] <= settings.largest_share * shape[1]
         )
@@ -192,7 +207,12 @@ class ZTransformTracker:
         learned = self._learned
         assert learned is not None
         p = look.placement
-        self._motion.observe(p, frame.time_s)
+        if self._is_tracking:
+            self._motion.observe(p, frame.time_s)
+            self._usual_confidence += USUAL_RATE * (look.confidence - self._usual_confidence)
+        else:
+            self._motion.start(p, frame.time_s)
+            self._usual_confidence = look.confidence
         self._is_tracking = True
         x, y = to_pixel(p[X], p[Y], lens)
         x0, y0 = to_pixel(learned.placement[X], learned.placement[Y], lens)
@@ -244,6 +264,10 @@ class ZTransformTracker:
         self._is_tracking = False
         self.update(frame)
         self._settings, self._learned = kept, None
+
+
+def _better(one: _Look, other: _Look) -> _Look:
+    return other if other.confidence > one.confidence else one
 
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
