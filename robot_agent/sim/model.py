@@ -48,7 +48,7 @@ def build_model(
     )
     mjcf = f"""<mujoco model="zservo">
 <compiler angle="radian"/>
-<option timestep="{timestep_s!r}" integrator="implicitfast" cone="elliptic" impratio="10"/>
+<option timestep="{timestep_s!r}" integrator="Euler" cone="elliptic" impratio="10"/>
 <statistic extent="1" center="0 0 0"/>
 <visual><global offwidth="{width}" offheight="{height}"/><quality offsamples="0" shadowsize="0"/>
 <map znear="0.01" zfar="20"/><headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/></visual>
@@ -74,8 +74,8 @@ def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.nd
 
 
 def _png(image: np.ndarray) -> bytes:
-    """Three equal channels, hardly compressed: it is read once, in this process."""
-    _, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    """Hardly compressed: it is read once, in this process."""
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return data.tobytes()
 
 
@@ -165,7 +165,7 @@ def _robot(start: Pose, fovy_deg: float) -> str:
     radius, half_base = thymio.WHEEL_RADIUS_M, thymio.LIMITS.wheel_base_m / 2
     # Ellipsoids touch the floor in one point, so that the wheel base is exact.
     wheels = "".join(
-        f'<body name="{side}" pos="0 {y} {radius}"><joint name="{side}" axis="0 1 0" damping="1e-6"/>'
+        f'<body name="{side}" pos="0 {y} {radius}"><joint name="{side}" axis="0 1 0" armature="2e-5"/>'
         f'<geom class="own" type="ellipsoid" size="{radius} 0.006 {radius}" mass="0.012" conaffinity="1"'
         f' friction="1.5 0 0" solref="0.005 1" material="tyre"/></body>'
         for side, y in (("left", half_base), ("right", -half_base))
@@ -189,7 +189,7 @@ def _standing(pose: Pose) -> str:
 
 def _motors() -> str:
     """Velocity servos behind a first-order filter of the asked speed."""
-    gain = 0.003
+    gain = 0.01
     return "".join(
         f'<general name="{side}" joint="{side}" dyntype="filterexact" dynprm="{thymio.WHEEL_RESPONSE_S}"'
         f' gainprm="{gain}" biastype="affine" biasprm="0 0 {-gain}"/>'
