@@ -102,7 +102,8 @@ def _meshes() -> str:
 
 
 def _room(stage: scenarios.Stage) -> str:
-    half, wall = ROOM_HALF_SIZE_M, WALL_HEIGHT_M / 2
+    wall, reach = WALL_HEIGHT_M / 2, ROOM_HALF_SIZE_M + _WALL_HALF_M
+    half = ROOM_HALF_SIZE_M + 2 * _WALL_HALF_M  # into the corners: no gap to look through
     parts = [
         f'<geom name="floor" type="plane" size="{half} {half} 1" material="floor" contype="1" friction="1.5 0 0"'
         f' solref="0.005 1"/>',
@@ -111,7 +112,6 @@ def _room(stage: scenarios.Stage) -> str:
     ]
     for quarter, name in enumerate(_WALLS):
         x, y = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
-        reach = half + _WALL_HALF_M
         # Axes: along the wall to the right as seen from inside, then up; the box's z axis points into the room.
         parts.append(
             f'<geom name="{name}" class="obstacle" type="box" size="{half} {wall} {_WALL_HALF_M}" material="{name}"'
