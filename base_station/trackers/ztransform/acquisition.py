@@ -3,7 +3,8 @@
 Enlarging the picture by g about its centre stretches a row and moves bands of rows away from the horizon. So band
 heights, the pitch of the cells, and with it poles and anchors are all scaled together by the zoom under test; what
 remains is a normalised correlation of signatures at every cell. A robot's camera keeps its height above the floor,
-hence a target's row follows from its zoom: y_h + g (y0 - y_h), y_h the horizon. What is found is then to be refined.
+hence a target's row follows from its zoom: y_h + g (y0 - y_h), y_h the horizon. Where columns and zoom fit, the same
+is done once upright, to find the row. What is found is then to be refined.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ import numpy as np
 
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
-from base_station.trackers.ztransform.search_kernels import band_profile, read_field, score_positions, sum_rows
+from base_station.trackers.ztransform.search_kernels import (
+    band_profile,
+    read_field,
+    score_positions,
+    sum_rows,
+    upright_profile,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +33,7 @@ class AcquisitionSettings:
     """Against the learned size."""
     largest_zoom: float = 2.4
     """Against the learned size."""
-    log_zoom_step: float = 0.07
+    log_zoom_step: float = 0.09
     """Natural logarithm; the regression's middle map reaches +-0.12."""
     cells: int = 32
     """Across the target; fewer where that would be under 1.5 px each."""
@@ -42,6 +49,8 @@ class AcquisitionSettings:
     """How many places to hand on."""
     least_share: float = 0.5
     """Of the learned energy that must lie in the frame."""
+    row_reach: float = 0.6
+    """In target heights: how far from where it should be the row is looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +93,21 @@ class Acquisition:
         learned = np.where(inside[:, None, None], fields[:, columns.clip(0, fields.shape[1] - 1)].transpose(1, 0, 2), 0)
         self._learned = np.ascontiguousarray(learned / max(float(np.sqrt((learned**2).sum())), 1e-6), np.float32)
         self._energy = np.square(self._learned).sum((1, 2))
+        self._learn_upright(placement)
 
     def find(
-        self, image: np.ndarray, lens: np.ndarray, zooms: tuple[float, float] | None = None, row: float | None = None
+        self,
+        image: np.ndarray,
+        lens: np.ndarray,
+        *,
+        zooms: tuple[float, float] | None = None,
+        row: float | None = None,
+        row_shift: float = 0.0,
     ) -> list[Candidate]:
         """The best few places in this frame, best first; best in the search, that is: refine them to be sure.
 
-        `zooms`: search this range only. `row`: look about this row as well as where the horizon rule says.
+        `zooms`: search this range only. Besides the row that the horizon rule says, look about `row` (px), and about
+        `row_shift` target heights below the rule's.
         """
         settings, learned = self._settings, self._learned_at
         low, high = zooms or (settings.smallest_zoom, settings.largest_zoom)
@@ -101,10 +118,53 @@ class Acquisition:
             rows = [lens[3] + zoom * (learned[Y] - lens[3])]
             if row is not None and abs(row - rows[0]) > 0.15 * height:
                 rows.append(row)
+            if row_shift:
+                rows.append(rows[0] + row_shift * height)
             for y in rows:
                 score, x = self._best_column(image.shape[1], width, height, y, lens)
                 found.append(Candidate(score=score, placement=np.array([x, y, width, height, 0.0])))
-        return self._distinct(found)
+        best = self._distinct(found)
+        return best if lens[0] > 0 else [self._with_row(candidate) for candidate in best]
+
+    def _learn_upright(self, placement: np.ndarray) -> None:
+        self._upright_cells = int(np.clip(placement[HEIGHT] / 1.5, 12, self._settings.cells))
+        spread = np.linspace(-0.5, 0.5, self._settings.anchors) * self._settings.spread
+        self._upright_anchors = np.round(spread * self._upright_cells).astype(int)
+        pitch, reach = placement[HEIGHT] / self._upright_cells, self._upright_cells
+        start = placement[Y] - (reach + 0.5) * pitch
+        fields = self._upright_fields(start, pitch, 2 * reach + 1, placement[X], placement[WIDTH])
+        learned = fields[:, reach + self._upright_anchors].transpose(1, 0, 2)
+        self._upright = np.ascontiguousarray(learned / max(float(np.sqrt((learned**2).sum())), 1e-6), np.float32)
+        self._upright_energy = np.square(self._upright).sum((1, 2))
+
+    def _with_row(self, candidate: Candidate) -> Candidate:
+        """The candidate moved up or down to where its columns fit best, if they fit anywhere."""
+        placement, settings = candidate.placement.copy(), self._settings
+        pitch = placement[HEIGHT] / self._upright_cells
+        reach = self._upright_cells
+        start = placement[Y] - (reach + 0.5) * pitch
+        fields = self._upright_fields(start, pitch, 2 * reach + 1, placement[X], placement[WIDTH])
+        scores = np.empty(2 * reach + 1, np.float32)
+        score_positions(
+            fields, self._upright, self._upright_energy, self._upright_anchors, settings.least_share, scores
+        )
+        away = math.ceil(settings.row_reach * self._upright_cells)
+        best = reach - away + int(scores[reach - away : reach + away + 1].argmax())
+        if scores[best] > 0.5:
+            placement[Y] = start + (best + 0.5 + _vertex(scores, best)) * pitch
+        return Candidate(score=candidate.score, placement=placement)
+
+    def _upright_fields(self, start: float, pitch: float, count: int, x: float, width: float) -> np.ndarray:
+        """As `_fields`, of upright bands: cells from row `start` on."""
+        settings = self._settings
+        edges = start + 0.5 + pitch * np.arange(count + 1)
+        fields = np.empty((settings.bands, count, settings.poles.count, 2, 2), np.float32)
+        profile, depth = np.empty(count, np.float32), 0.9 * width / settings.bands
+        for band in range(settings.bands):
+            middle = x + 0.5 + (band - (settings.bands - 1) / 2) * depth
+            upright_profile(self._sums, middle - depth / 2, middle + depth / 2, edges, profile)
+            read_field(profile, *self._poles, fields[band])
+        return fields.reshape(settings.bands, count, -1)
 
     def _sum(self, image: np.ndarray) -> None:
         if self._sums.shape != (image.shape[0] + 1, image.shape[1]):

@@ -52,6 +52,26 @@ def band_profile(sums, top, bottom, edges, running, cells):
 
 
 @njit(cache=True, fastmath=True)
+def upright_profile(sums, left, right, edges, cells):
+    """The same for a band that stands upright: mean of the columns left..right between neighbouring edges (rows)."""
+    height, width = sums.shape[0] - 1, sums.shape[1]
+    first = min(max(round(left), 0), width - 1)
+    beyond = min(max(round(right), first + 1), width)
+    before_y, before = 0.0, 0.0
+    for i in range(len(edges)):
+        y = min(max(edges[i], 0.0), float(height))
+        row = min(int(y), height - 1)
+        part, value = y - row, 0.0
+        for x in range(first, beyond):
+            value += sums[row, x] + part * (sums[row + 1, x] - sums[row, x])
+        value /= beyond - first
+        if i > 0:
+            tall = y - before_y
+            cells[i - 1] = (value - before) / tall if tall > 1e-6 else (cells[i - 2] if i > 1 else 0.0)
+        before_y, before = y, value
+
+
+@njit(cache=True, fastmath=True)
 def read_field(profile, pole_re, pole_im, weights, field):
     """The two-sided second-order transform of a profile's difference about every cell; into (cells, poles, 2, 2)."""
     cells = len(profile)

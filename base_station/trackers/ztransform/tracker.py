@@ -29,8 +29,10 @@ class ZTransformSettings:
 
     keep_confidence: float = 0.5
     """While tracking, a resemblance below this is not the target."""
-    regain_confidence: float = 0.65
+    regain_confidence: float = 0.72
     """After it was lost, a resemblance below this is not the target yet."""
+    keep_of_usual: float = 0.6
+    """While tracking, a resemblance below this share of the usual one is not the target either."""
     surprise: float = 0.12
     """A resemblance by this much below the usual is looked into: perhaps the true place is another."""
     beyond_doubt: float = 0.85
@@ -55,6 +57,8 @@ class ZTransformSettings:
     """How it is searched for."""
 
 
+ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
+"""In target heights. While lost, every frame looks about one other row, so that searching them all costs no more."""
 USUAL_RATE = 0.1
 """Of the running mean of confidences, per frame."""
 
@@ -99,7 +103,7 @@ class ZTransformTracker:
         self._signature = np.empty(self._reader.size, np.float32)
         self._learned: _Learned | None = None
         self._motion = Motion()
-        self._is_tracking, self._usual_confidence = False, 0.0
+        self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
         self._warm_up()
 
     def learn(self, frame: Frame, target: Box | None) -> None:
@@ -127,7 +131,7 @@ class ZTransformTracker:
         )
         self._acquisition.learn(pyramid.image, placement, lens)
         self._motion.start(placement, frame.time_s)
-        self._is_tracking, self._usual_confidence = True, 1.0
+        self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
@@ -143,6 +147,7 @@ class ZTransformTracker:
         if is_believed and self._is_possible(look, frame.image.shape):
             return self._tracked(frame, look, lens)
         self._is_tracking = False
+        self._frames_lost += 1
         return _lost(self._why(frame, look), look.confidence)
 
     def close(self) -> None:
@@ -151,17 +156,17 @@ class ZTransformTracker:
 
     def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[_Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
-        settings, followed = self._settings, None
+        settings, followed, kept = self._settings, None, False
         if self._is_tracking:
             followed = self._follow(pyramid, time_s, lens)
-            is_usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
-            if is_usual and followed.confidence >= settings.keep_confidence:
+            kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
+            if kept and followed.confidence >= self._usual_confidence - 2 * settings.surprise:
                 return followed, True
         found = self._search(pyramid, lens)
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
             return found, True
         if followed:
-            return followed, followed.confidence >= settings.keep_confidence
+            return followed, kept
         return found, False
 
     def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look:
@@ -178,7 +183,9 @@ class ZTransformTracker:
         assert self._learned is not None
         zooms = self._settings.place_zooms if self._learned.is_place else None
         best = _Look(self._motion.last, 0.0, 0.0)
-        for candidate in self._acquisition.find(pyramid.image, lens, zooms, float(self._motion.last[Y])):
+        turn = self._frames_lost % (len(ROW_SHIFTS) + 1)
+        rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(self._motion.last[Y])}
+        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
             if best.confidence > self._settings.beyond_doubt:
                 break
@@ -213,7 +220,7 @@ class ZTransformTracker:
         else:
             self._motion.start(p, frame.time_s)
             self._usual_confidence = look.confidence
-        self._is_tracking = True
+        self._is_tracking, self._frames_lost = True, 0
         x, y = to_pixel(p[X], p[Y], lens)
         x0, y0 = to_pixel(learned.placement[X], learned.placement[Y], lens)
         return TrackerResult(
