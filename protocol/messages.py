@@ -168,6 +168,8 @@ class Telemetry:
     """"ok", "limited" (an obstacle bends the command) or "stopped"."""
     reason: str = ""
     station: str | None = None
+    ended: bool = False
+    """The recording that is replayed has come to its end: no more frames will follow."""
     cpu_s: float = 0.0
     """Processor time of the agent's process since its start."""
     truth: Truth | None = None

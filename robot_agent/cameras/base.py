@@ -7,16 +7,18 @@ from typing import Protocol
 
 import numpy as np
 
-from protocol import Intrinsics
+from protocol import Intrinsics, Truth
 
 
 @dataclass(frozen=True)
 class CameraFrame:
     """One picture. `image`: uint8, shape (height, width), gray. `capture_s`: when it was taken, on the camera's clock
-    (the agent's monotonic clock; simulated time in simulation; the recorded time in a replay)."""
+    (the agent's monotonic clock; simulated time in simulation; the recorded time in a replay). `truth`: simulation
+    only, where things were at that moment."""
 
     image: np.ndarray
     capture_s: float
+    truth: Truth | None = None
 
 
 class Camera(Protocol):
@@ -27,6 +29,10 @@ class Camera(Protocol):
     fps: float
     intrinsics: Intrinsics | None
     """Of the whole picture (width x height), None when unknown."""
+
+    def begin(self) -> None:
+        """The first station is there. Recordings and simulated scenarios start now; a live camera has nothing to do."""
+        ...
 
     def read(self, timeout_s: float) -> CameraFrame | None:
         """Wait for the next picture. None when none came in time. Raises CameraError when the camera is gone and

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from protocol import RobotLimits, Truth
+from protocol import RobotLimits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,3 @@ class Robot(Protocol):
         """Stop the wheels and let go of the robot."""
         ...
 
-
-class Simulated(Protocol):
-    """What a robot of the simulation can tell besides: the truth, and what its operator does."""
-
-    def truth(self) -> Truth: ...

@@ -1,0 +1,46 @@
+"""What a behaviour is: tracker results in, wheel speeds out. It knows no tracker, no socket and no clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from base_station.types import TrackerResult
+from protocol import Command, RobotLimits
+
+
+class Behaviour(Protocol):
+    """Asked once per frame, from one thread."""
+
+    def command(self, result: TrackerResult | None, time_s: float) -> Command:
+        """The wheel speeds for this frame. `result` is None before anything was learned; `time_s` is the frame's time."""
+        ...
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Turns motion of the robot's body into wheel speeds of the wire, within what the wire can carry."""
+
+    limits: RobotLimits
+
+    @property
+    def metres_per_wire_unit_s(self) -> float:
+        """Speed of a wheel at one wire unit."""
+        return self.limits.metres_per_unit_s * self.limits.speed_scale
+
+    @property
+    def fastest_m_s(self) -> float:
+        """The largest wheel speed that robot and wire allow."""
+        return min(127 * self.metres_per_wire_unit_s, self.limits.max_units * self.limits.metres_per_unit_s)
+
+    def command(self, forward_m_s: float, turn_rad_s: float) -> Command:
+        """Wheel speeds for a forward speed and a rate of turn (left positive).
+
+        Turning goes first: where both do not fit, the forward speed gives way, so the target is kept in view.
+        """
+        fastest = self.fastest_m_s
+        turn_m_s = max(-fastest, min(fastest, turn_rad_s * self.limits.wheel_base_m / 2))
+        room_m_s = fastest - abs(turn_m_s)
+        forward_m_s = max(-room_m_s, min(room_m_s, forward_m_s))
+        unit = self.metres_per_wire_unit_s
+        return Command.clamped((forward_m_s - turn_m_s) / unit, (forward_m_s + turn_m_s) / unit)

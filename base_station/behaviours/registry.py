@@ -1,0 +1,43 @@
+"""The behaviours by name: one line each."""
+
+from __future__ import annotations
+
+import difflib
+import queue
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from base_station.behaviours.base import Behaviour, Drive
+from base_station.behaviours.follow import Follow
+from base_station.behaviours.scripted import Idle, Pattern
+from base_station.behaviours.teleop import Teleop
+
+
+@dataclass(frozen=True)
+class BehaviourContext:
+    """What a behaviour may be made from."""
+
+    drive: Drive
+    keys: queue.SimpleQueue[str]
+
+
+BEHAVIOURS: dict[str, Callable[[BehaviourContext], Behaviour]] = {
+    "follow": lambda context: Follow(context.drive),
+    "idle": lambda context: Idle(),
+    "pattern": lambda context: Pattern(),
+    "teleop": lambda context: Teleop(context.drive, context.keys),
+}
+
+
+def check_behaviour(name: str) -> None:
+    """Raises ValueError, naming the valid ones, when there is no such behaviour."""
+    if name not in BEHAVIOURS:
+        close = difflib.get_close_matches(name, BEHAVIOURS, n=1)
+        hint = f" Perhaps you meant {close[0]}." if close else ""
+        raise ValueError(f"There is no behaviour {name!r}; there are {', '.join(BEHAVIOURS)}.{hint}")
+
+
+def make_behaviour(name: str, context: BehaviourContext) -> Behaviour:
+    """Raises ValueError for an unknown name."""
+    check_behaviour(name)
+    return BEHAVIOURS[name](context)

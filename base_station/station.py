@@ -1,0 +1,179 @@
+"""The station's loop: newest frame in, tracker, behaviour, command out.
+
+For each frame that the loop takes exactly one command goes back, as the thesis's peers expect. The second tracker
+(`shadow`) sees the same frames after the command has left, so it costs the robot nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from base_station.behaviours.base import Behaviour, Drive
+from base_station.behaviours.registry import BehaviourContext, make_behaviour
+from base_station.link import Link
+from base_station.trackers.base import Tracker
+from base_station.types import Box, Frame, TrackerResult, TrackingState
+from protocol import STOP, Command, Request, RobotLimits
+
+log = logging.getLogger(__name__)
+
+WAIT_S = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """All that happened with one frame; what display, results and summary are made from."""
+
+    frame: Frame
+    result: TrackerResult
+    shadow: TrackerResult | None
+    command: Command
+    learned: bool
+    """The target was learned in this frame."""
+    tracker_s: float
+    """What the tracker took for this frame (learning not included)."""
+    frame_to_command_s: float | None
+    """Last byte of the frame received to command handed to the socket; None when the command could not be sent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationSettings:
+    behaviour: str = "follow"
+    target: Box | None = None
+    """Learned in the first frame; None: what the simulated operator says, else the whole view."""
+    duration_s: float | None = None
+    """End after this much of the frames' time; None: until told."""
+    max_frames: int | None = None
+
+
+class Station:
+    """Runs one robot. `on_step` is called after each frame's command has gone out, `on_wait` while no frame comes."""
+
+    def __init__(
+        self,
+        link: Link,
+        tracker: Tracker,
+        settings: StationSettings | None = None,
+        *,
+        shadow: Tracker | None = None,
+        keys: queue.SimpleQueue[str] | None = None,
+        on_step: Callable[[Step], None] = lambda step: None,
+        on_wait: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._link, self._tracker, self._shadow = link, tracker, shadow
+        self.settings = settings or StationSettings()
+        self._keys = keys or queue.SimpleQueue()
+        self._on_step, self._on_wait = on_step, on_wait
+        self._behaviour: Behaviour | None = None
+        self._stopping = False
+        self._target = self.settings.target
+        self._learn_asked = True
+        self._learned = False
+        self._learn_error = ""
+        self._first_s: float | None = None
+        self._frames = 0
+
+    def stop(self) -> None:
+        """End the loop after the present frame; signal handlers may call it."""
+        self._stopping = True
+
+    def learn_now(self) -> None:
+        """Learn the target anew in the next frame."""
+        self._learn_asked = True
+
+    def emergency(self, action: str) -> None:
+        """"stop" or "release" the robot's emergency stop. Says so when the robot has no control port."""
+        if self._link.ask(Request(action=action, text="by the operator")) is None:
+            log.warning("this robot has no control port: no emergency stop, commands only")
+
+    def run(self) -> None:
+        """Until `stop`, the duration, or the end of a recording. Sends a stop at the end. Raises StationError."""
+        try:
+            while not self._stopping:
+                received = self._link.next_frame(WAIT_S)
+                if received is not None:
+                    self._on_step(self._step(*received))
+                elif self._link.ended:
+                    return
+                else:
+                    self._on_wait()
+        finally:
+            self._link.send(STOP)
+
+    def _step(self, frame: Frame, arrival_s: float) -> Step:
+        self._count(frame)
+        behaviour = self._behaviour_for_robot()
+        learned = self._learn(self._tracker, frame)
+        begun_s = time.perf_counter()
+        result = self._look(self._tracker, frame)
+        tracker_s = time.perf_counter() - begun_s
+        command = behaviour.command(result if self._learned else None, frame.time_s)
+        sent_s = self._link.send(command)
+        return Step(
+            frame=frame,
+            result=result,
+            shadow=self._follow_in_shadow(frame, learned),
+            command=command,
+            learned=learned,
+            tracker_s=tracker_s,
+            frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
+        )
+
+    def _count(self, frame: Frame) -> None:
+        self._frames += 1
+        if self._first_s is None:
+            self._first_s = frame.time_s
+        over = self.settings.duration_s is not None and frame.time_s - self._first_s >= self.settings.duration_s
+        if over or self._frames == self.settings.max_frames:
+            self._stopping = True
+
+    def _behaviour_for_robot(self) -> Behaviour:
+        """Made with the first frame, when the link knows the robot's limits."""
+        if self._behaviour is None:
+            limits = self._link.hello.limits if self._link.hello is not None else RobotLimits()
+            self._behaviour = make_behaviour(
+                self.settings.behaviour, BehaviourContext(drive=Drive(limits), keys=self._keys)
+            )
+        return self._behaviour
+
+    def _learn(self, tracker: Tracker, frame: Frame) -> bool:
+        """Learn when it is asked for; a view that cannot be learned (a camera that is still dark) is tried again."""
+        if not self._learn_asked or not self._choose_target(frame):
+            return False
+        try:
+            tracker.learn(frame, self._target)
+        except ValueError as error:
+            if str(error) != self._learn_error:
+                log.warning("cannot learn this target: %s", error)
+            self._learn_error = str(error)
+            return False
+        self._learn_asked, self._learned, self._learn_error = False, True, ""
+        return True
+
+    def _choose_target(self, frame: Frame) -> bool:
+        """Fix the box to learn: the user's, else the simulated operator's, else the whole view. False: not yet."""
+        event = next((event for event in self._link.events if event.kind == "learn"), None)
+        if self.settings.target is None and not self._learned and event is not None:
+            if frame.number < event.frame:
+                return False
+            self._target = Box(*event.box) if event.box is not None else None
+        return True
+
+    def _look(self, tracker: Tracker, frame: Frame) -> TrackerResult:
+        if self._learn_error and not self._learned:
+            return TrackerResult(state=TrackingState.INITIALIZING, reason=self._learn_error)
+        return tracker.update(frame)
+
+    def _follow_in_shadow(self, frame: Frame, learned: bool) -> TrackerResult | None:
+        if self._shadow is None:
+            return None
+        if learned:
+            try:
+                self._shadow.learn(frame, self._target)
+            except ValueError as error:
+                return TrackerResult(state=TrackingState.INITIALIZING, reason=str(error))
+        return self._shadow.update(frame)

@@ -1,0 +1,159 @@
+"""The robot-agent command. Plain argparse: nothing to install on a Raspberry Pi."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import logging
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+from robot_agent import __version__
+from robot_agent.agent import Agent, AgentSettings
+from robot_agent.errors import AgentError
+from robot_agent.rig import CAMERAS, ROBOTS, RigOptions, build_rig
+from robot_agent.safety import PRESETS
+from robot_agent.sim.faults import Faults
+from robot_agent.sim.scenarios import SCENARIOS
+
+EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, separator, height = text.lower().partition("x")
+    if not separator or not width.isdecimal() or not height.isdecimal() or not (int(width) and int(height)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write WIDTHxHEIGHT, such as 640x480")
+    return int(width), int(height)
+
+
+def _rows(text: str) -> tuple[int, int]:
+    first, separator, past_last = text.partition(":")
+    if not separator or not first.isdecimal() or not past_last.isdecimal() or int(first) >= int(past_last):
+        raise argparse.ArgumentTypeError(f"{text!r} are no rows; write FIRST:PAST_LAST, such as 208:272")
+    return int(first), int(past_last)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 10_000:
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
+    return value
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 65532:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port for four in a row; give 1..65532")
+    return int(text)
+
+
+def _fault(text: str) -> tuple[str, float]:
+    names = [field.name for field in dataclasses.fields(Faults)]
+    name, _, value = text.partition("=")
+    try:
+        if name not in names:
+            raise ValueError
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE with one of {', '.join(names)}") from None
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="robot-agent",
+        description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on the "
+        "two ports after these. Without options: the simulated robot.",
+    )
+    add = parser.add_argument
+    add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
+    add("--camera", choices=CAMERAS, help="where pictures come from (default: sim with --robot sim, else usb)")
+    add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
+    add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
+    add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
+    add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
+    add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
+    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1; 4 reaches 500)")
+    add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address to serve on (default: %(default)s; a robot: 0.0.0.0)")
+    add("--port", type=_port, default=31440, metavar="BASE", help="first of the four ports (default: %(default)s)")
+    add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; may be repeated")
+    add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
+    simulation = parser.add_argument_group("simulation")
+    simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
+    simulation.add_argument("--seed", type=int, default=0, help="of textures, courses, noise (default: %(default)s)")
+    simulation.add_argument("--faults", action="store_true", help="slip 20 %%, 20 %% of frames lost, blur 30 ms, noise 8")
+    simulation.add_argument("--fault", type=_fault, action="append", default=[], metavar="NAME=VALUE", help="one fault")
+    add("--quiet", action="store_true", help="say only what goes wrong")
+    add("--version", action="version", version=f"robot-agent {__version__}")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the agent. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    logging.basicConfig(
+        level=logging.WARNING if options.quiet else logging.INFO,
+        format="%(asctime)s robot-agent: %(message)s",
+        datefmt="%H:%M:%S",
+    )
+    try:
+        faults = dataclasses.replace(Faults.standard() if options.faults else Faults(), **dict(options.fault))
+    except AgentError as error:
+        parser.error(str(error))
+    try:
+        _serve(options, faults)
+    except AgentError as error:
+        print(f"robot-agent: {error}", file=sys.stderr)
+        return EXIT_FAILED
+    return EXIT_DONE
+
+
+def _serve(options: argparse.Namespace, faults: Faults) -> None:
+    rig = build_rig(
+        RigOptions(
+            robot=options.robot,
+            camera=options.camera or ("sim" if options.robot == "sim" else "usb"),
+            source=options.source,
+            size=options.size,
+            fps=options.fps,
+            lockstep=options.rhythm == "lockstep",
+            scenario=options.scenario,
+            seed=options.seed,
+            faults=faults,
+        )
+    )
+    settings = AgentSettings(
+        host=options.listen,
+        port=options.port,
+        allow=tuple(options.allow),
+        rhythm=options.rhythm,
+        rows=options.rows,
+        speed_scale=options.speed_scale,
+        safety=PRESETS[options.safety],
+    )
+    try:
+        agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)
+    except AgentError:
+        rig.robot.close()
+        rig.camera.close()
+        raise
+
+    def end(signal_number: int, _frame: FrameType | None) -> None:
+        logging.getLogger(__name__).info("%s: stopping the wheels", signal.Signals(signal_number).name)
+        agent.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, end)
+    logging.getLogger(__name__).info(
+        "serving robot %s on %s, ports %d to %d (%s rhythm)",
+        options.robot,
+        options.listen,
+        options.port,
+        options.port + 3,
+        options.rhythm,
+    )
+    agent.run()

@@ -1,0 +1,206 @@
+"""The two raw TCP ports: each listens, serves one station at a time and turns away all others at once."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import fcntl
+import logging
+import select
+import socket
+import threading
+from collections.abc import Callable
+
+from protocol import COMMAND_BYTES, Command, CommandDecoder, TruncatedError
+from robot_agent.access import AllowList
+from robot_agent.errors import AgentError
+
+log = logging.getLogger(__name__)
+
+SIOCOUTQNSD = 0x894B
+"""Linux: bytes that the kernel has not sent yet (include/uapi/linux/sockios.h)."""
+PEER_TIMEOUT_MS = 5000
+"""After this long without an answer the station is taken for dead, and the robot is free for another."""
+FLOOD_PAUSE_S = 0.001
+CHUNK_BYTES = 4096
+
+
+class StationPort:
+    """A listening port with one peer at the most. `on_change` is called after a peer came or went, from any thread."""
+
+    def __init__(self, name: str, host: str, port: int, allow: AllowList, on_change: Callable[[], None]) -> None:
+        self.name = name
+        self.connections = 0
+        """Peers served so far, the present one included."""
+        self._allow, self._on_change = allow, on_change
+        self._peer: socket.socket | None = None
+        self._address: str | None = None
+        self._lock = threading.Lock()
+        self._came = threading.Condition(self._lock)
+        self._listener = _listen(host, port)
+        self._thread = threading.Thread(target=self._accept, name=f"{name}-accept", daemon=True)
+
+    def start(self) -> None:
+        """Begin to accept."""
+        self._thread.start()
+
+    @property
+    def peer(self) -> socket.socket | None:
+        return self._peer
+
+    @property
+    def address(self) -> str | None:
+        """host:port of the peer, None without one."""
+        return self._address
+
+    def wait_for_peer(self, timeout_s: float) -> socket.socket | None:
+        with self._came:
+            self._came.wait_for(lambda: self._peer is not None, timeout_s)
+            return self._peer
+
+    def drop(self, peer: socket.socket, why: str) -> None:
+        """Let this peer go, if it still is the present one."""
+        with self._lock:
+            if self._peer is not peer:
+                return
+            log.info("%s: %s is gone (%s)", self.name, self._address, why)
+            self._peer, self._address = None, None
+        with contextlib.suppress(OSError):
+            peer.shutdown(socket.SHUT_RDWR)
+        peer.close()
+        self._on_change()
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        if self._peer is not None:
+            self.drop(self._peer, "the agent ends")
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                peer, (host, port, *_) = self._listener.accept()
+            except OSError:
+                return  # the listener was closed: the agent ends
+            self._admit(peer, host, f"{host}:{port}")
+
+    def _admit(self, peer: socket.socket, host: str, address: str) -> None:
+        if not self._allow.permits(host):
+            log.warning("%s: %s turned away: not in --allow", self.name, address)
+            peer.close()
+            return
+        with self._came:
+            if self._peer is not None:
+                log.warning("%s: second station %s turned away: busy with %s", self.name, address, self._address)
+                peer.close()
+                return
+            _tune(peer)
+            self.connections += 1
+            self._peer, self._address = peer, address
+            log.info("%s: %s connected", self.name, address)
+            self._came.notify_all()
+        self._on_change()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_server((host, port), backlog=4)
+    except OverflowError as error:
+        raise AgentError(f"{port} is no port: give a base of 1..65532 with --port.") from error
+    except OSError as error:
+        raise AgentError(
+            f"Port {port} on {host} cannot be opened ({error.strerror or error}): "
+            "another agent may be running; stop it, or choose another with --port."
+        ) from error
+
+
+def _tune(peer: socket.socket) -> None:
+    """No delay for small packets, and a dead peer is noticed within seconds instead of minutes."""
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PEER_TIMEOUT_MS)
+    peer.setblocking(False)
+
+
+class FrameWriter:
+    """Writes frames whole or not at all, and never lets a queue grow behind a slow station.
+
+    A new frame is begun only when the kernel has nothing left to send of the frame before, so that at the most one frame
+    waits on this side; what the station does not take in time is replaced by a newer one.
+    """
+
+    def __init__(self, port: StationPort, frame_bytes: int, running: Callable[[], bool]) -> None:
+        self._port, self._frame_bytes, self._running = port, frame_bytes, running
+
+    def ready(self, peer: socket.socket) -> bool:
+        """Whether the frame before has left for the station."""
+        unsent = array.array("i", [0])
+        try:
+            fcntl.ioctl(peer.fileno(), SIOCOUTQNSD, unsent)
+        except OSError:
+            return True  # the write that follows tells what is wrong
+        return unsent[0] == 0
+
+    def prepare(self, peer: socket.socket) -> None:
+        """Keep the kernel's buffer to about one frame (Linux doubles the figure for its own use)."""
+        with contextlib.suppress(OSError):
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(self._frame_bytes // 2, CHUNK_BYTES))
+
+    def write(self, peer: socket.socket, frame: memoryview) -> bool:
+        """Send it all. False when the peer went; it is dropped then."""
+        while frame:
+            try:
+                frame = frame[peer.send(frame) :]
+            except BlockingIOError:
+                if not self._running():
+                    return False
+                select.select([], [peer], [], 0.1)
+            except (OSError, ValueError) as error:
+                self._port.drop(peer, str(error))
+                return False
+        return True
+
+
+class CommandReader:
+    """Reads commands from the command port: the newest of what has come, or exactly one."""
+
+    def __init__(self, port: StationPort) -> None:
+        self._port = port
+        self._decoder = CommandDecoder()
+        self._peer: socket.socket | None = None
+
+    def read(self, timeout_s: float, *, one: bool = False) -> Command | None:
+        """Wait for a command. `one`: take the next in line and leave later ones for later calls (lockstep)."""
+        peer = self._port.wait_for_peer(timeout_s)
+        if peer is None:
+            return None
+        if peer is not self._peer:
+            self._peer, self._decoder = peer, CommandDecoder()
+        try:
+            readable, _, _ = select.select([peer], [], [], timeout_s)
+            if not readable:
+                return None
+            data = peer.recv(COMMAND_BYTES - self._decoder.pending if one else CHUNK_BYTES)
+        except BlockingIOError:
+            return None
+        except (OSError, ValueError) as error:
+            self._port.drop(peer, str(error))
+            return None
+        if not data:
+            self._end(peer)
+            return None
+        if len(data) == CHUNK_BYTES:
+            threading.Event().wait(FLOOD_PAUSE_S)  # a flood must not starve the camera's thread
+        return self._decoder.feed(data)
+
+    def _end(self, peer: socket.socket) -> None:
+        why = "it closed the connection"
+        try:
+            self._decoder.end()
+        except TruncatedError as error:
+            why = str(error)
+        self._port.drop(peer, why)

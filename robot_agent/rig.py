@@ -1,0 +1,99 @@
+"""Which camera goes with which robot: builds both from their names, with the clock that suits them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from protocol import Scenario
+from robot_agent.cameras.base import Camera
+from robot_agent.errors import AgentError
+from robot_agent.robots.base import Robot
+from robot_agent.robots.none import NoRobot
+from robot_agent.sim.faults import Faults
+
+CAMERAS = ("usb", "picamera2", "replay", "sim")
+ROBOTS = ("sim", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigOptions:
+    """What the command line says about camera and robot."""
+
+    robot: str
+    camera: str
+    source: str | None = None
+    """Camera device, or the recording to replay."""
+    size: tuple[int, int] | None = None
+    """Width and height of the picture in px; None: 640x480, or the recording's own."""
+    fps: float | None = None
+    """None: 30, or the recording's own times."""
+    lockstep: bool = False
+    scenario: str = "leader"
+    seed: int = 0
+    faults: Faults = field(default_factory=Faults)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A camera and a robot. `clock`: what safety goes by; `stepped`: it stands still between two lockstep exchanges."""
+
+    camera: Camera
+    robot: Robot
+    scenario: Scenario | None = None
+    clock: Callable[[], float] = time.monotonic
+    stepped: bool = False
+
+
+def build_rig(options: RigOptions) -> Rig:
+    """Open camera and robot. Raises AgentError, in words, when one is not to be had or they do not go together."""
+    if "sim" in (options.robot, options.camera):
+        if options.robot != "sim" or options.camera != "sim":
+            raise AgentError(
+                "The simulated camera and the simulated robot are one world: use --robot sim with --camera sim, "
+                f"not --robot {options.robot} with --camera {options.camera}."
+            )
+        return _simulation(options)
+    return Rig(camera=_open_camera(options), robot=NoRobot())
+
+
+def _open_camera(options: RigOptions) -> Camera:
+    width, height = options.size or (640, 480)
+    fps = options.fps or 30.0
+    if options.camera == "usb":
+        from robot_agent.cameras.usb import UsbCamera
+
+        return UsbCamera(options.source or "0", width=width, height=height, fps=fps)
+    if options.camera == "picamera2":
+        from robot_agent.cameras.picamera2 import PiCamera
+
+        return PiCamera(width=width, height=height, fps=fps)
+    from robot_agent.cameras.replay import ReplayCamera
+
+    if options.source is None:
+        raise AgentError("--camera replay needs a recording: name a video file or a folder with --source.")
+    return ReplayCamera(options.source, size=options.size, fps=options.fps, realtime=not options.lockstep)
+
+
+def _simulation(options: RigOptions) -> Rig:
+    from robot_agent.cameras.sim import SimCamera
+    from robot_agent.robots.sim import SimRobot
+    from robot_agent.sim.world import World
+
+    width, height = options.size or (640, 480)
+    world = World(
+        scenario=options.scenario,
+        seed=options.seed,
+        width=width,
+        height=height,
+        fps=options.fps or 30.0,
+        faults=options.faults,
+    )
+    return Rig(
+        camera=SimCamera(world, realtime=not options.lockstep),
+        robot=SimRobot(world),
+        scenario=world.scenario,
+        clock=(lambda: world.time_s) if options.lockstep else time.monotonic,
+        stepped=options.lockstep,
+    )
