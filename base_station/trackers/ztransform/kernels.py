@@ -3,11 +3,11 @@
 Each has its plain meaning in `reference.py`, and a test holds the two together. A *placement* is five float64:
 x, y (middle, px), width, height (px), keystone q. Patch coordinates u, v in -0.5..0.5 lie at
 
-    x + width u / (1 + q u),   y + height v / (1 + q u)
+    x + width u / (1 + q u),   y_h + (y - y_h + height v) / (1 + q u)
 
-which is the exact view of an upright flat picture that is turned about the vertical. A *lens* is four float64:
-curved (0 or 1), focal length, principal point. With curved = 1 placements lie on a cylinder about the camera,
-unrolled with the focal length as its radius: there a turn on the spot is a pure shift.
+which is the exact view of an upright flat picture that is turned about the vertical, y_h the horizon. A *lens* is
+four float64: curved (0 or 1), focal length, principal point. With curved = 1 placements lie on a cylinder about the
+camera, unrolled with the focal length as its radius: there a turn on the spot is a pure shift.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def sample_patch(image, scale, placement, lens, samples, patch, seen):
         u = (i + 0.5) / n - 0.5
         shrink = 1.0 / (1.0 + placement[KEYSTONE] * u)
         x = placement[X] + placement[WIDTH] * u * shrink
-        y = placement[Y]
+        y = middle_y + (placement[Y] - middle_y) * shrink
         span = placement[HEIGHT] * shrink
         visible = True
         if curved:

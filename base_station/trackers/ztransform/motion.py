@@ -33,6 +33,10 @@ class Motion:
             self._velocity[4] = 0  # the keystone is too noisy to extrapolate
         self.last, self._time_s = placement.copy(), time_s
 
+    def age_s(self, time_s: float) -> float:
+        """How long ago it was last seen."""
+        return time_s - self._time_s
+
     def predict(self, time_s: float) -> np.ndarray:
         """The placement expected at this time; the guess does not reach further than half a second."""
         elapsed_s = min(max(time_s - self._time_s, 0.0), LONGEST_GUESS_S)

@@ -44,7 +44,7 @@ def sample_patch(
     u = (np.arange(cells * samples) + 0.5) / (cells * samples) - 0.5
     shrink = 1 / (1 + keystone * u)
     x = np.broadcast_to(middle_x + box_width * u * shrink, (len(u), len(u)))
-    y = middle_y + box_height * u[:, None] * shrink[None]
+    y = lens[3] + (middle_y - lens[3] + box_height * u[:, None]) * shrink[None]
     if lens[0] > 0:
         azimuth = (x - lens[2]) / lens[1]
         x, y = lens[2] + lens[1] * np.tan(azimuth), lens[3] + (y - lens[3]) / np.cos(azimuth)
@@ -59,7 +59,7 @@ def sample_patch(
     patch = fine.reshape(cells, samples, cells, samples).mean((1, 3))
     middle = samples // 2 + samples * np.arange(cells)
     v = (np.arange(cells) + 0.5) / cells - 0.5
-    row = middle_y + box_height * v[:, None] * shrink[None, middle]
+    row = lens[3] + (middle_y - lens[3] + box_height * v[:, None]) * shrink[None, middle]
     if lens[0] > 0:
         row = lens[3] + (row - lens[3]) / np.cos(
             (middle_x + box_width * u[middle] * shrink[middle] - lens[2]) / lens[1]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
 from base_station.trackers.ztransform.motion import Motion
@@ -27,16 +28,21 @@ from base_station.types import Box, Frame, TrackerResult, TrackingState
 class ZTransformSettings:
     """When to believe, and the settings of the stages."""
 
-    keep_confidence: float = 0.5
-    """While tracking, a resemblance below this is not the target."""
+    keep_confidence: float = 0.35
+    """While tracking, a resemblance below this is not the target, however slowly it came to look so."""
     regain_confidence: float = 0.72
     """After it was lost, a resemblance below this is not the target yet."""
     keep_of_usual: float = 0.6
-    """While tracking, a resemblance below this share of the usual one is not the target either."""
+    """While tracking, a resemblance below this share of the usual is not the target: what vanishes, vanishes suddenly."""
+    linger_s: float = 0.5
+    """After a loss, for so long it is also looked for where it was, on the terms of tracking."""
     surprise: float = 0.12
     """A resemblance by this much below the usual is looked into: perhaps the true place is another."""
     beyond_doubt: float = 0.85
     """A resemblance at which a search needs not look at further candidates."""
+    aspects: tuple[float, float] = (0.5, 1.3)
+    """Width against height, both against the learned ones: a picture that turned by 60 degrees is half as wide. What
+    looks flatter or wider is the refinement squeezing itself into what is left of a target that is being covered."""
     least_share: float = 0.35
     """Of the target that must lie in the frame."""
     least_texture: float = 1.5
@@ -59,7 +65,7 @@ class ZTransformSettings:
 
 ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
 """In target heights. While lost, every frame looks about one other row, so that searching them all costs no more."""
-USUAL_RATE = 0.1
+USUAL_RATE = 0.05
 """Of the running mean of confidences, per frame."""
 
 
@@ -157,7 +163,7 @@ class ZTransformTracker:
     def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[_Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
         settings, followed, kept = self._settings, None, False
-        if self._is_tracking:
+        if self._is_tracking or self._motion.age_s(time_s) < settings.linger_s:
             followed = self._follow(pyramid, time_s, lens)
             kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
             if kept and followed.confidence >= self._usual_confidence - 2 * settings.surprise:
@@ -200,7 +206,9 @@ class ZTransformTracker:
             levels, _FREE_PLACE if learned.is_place else _FREE, self._settings.tolerance,
             self._patch, self._seen, self._signature, *self._reader.plan,
         )  # fmt: skip
-        return _Look(placement, float(confidence), float(share))
+        aspect = placement[WIDTH] / placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
+        low, high = self._settings.aspects
+        return _Look(placement, float(confidence) if low <= aspect <= high else 0.0, float(share))
 
     def _is_possible(self, look: _Look, shape: tuple[int, int]) -> bool:
         p, settings = look.placement, self._settings
@@ -260,8 +268,6 @@ class ZTransformTracker:
 
     def _warm_up(self) -> None:
         """Compile (or load) the kernels now, on a small made-up picture, so that the first frames are not late."""
-        from base_station.geometry import PinholeCamera
-
         picture = np.random.default_rng(0).integers(0, 255, (48, 64), np.uint8)
         frame = Frame(image=picture, number=1, time_s=0.0, camera=PinholeCamera.with_fov(64, 48))
         few = RegressionSettings(samples=8)
