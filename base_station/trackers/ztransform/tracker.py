@@ -33,7 +33,7 @@ class ZTransformSettings:
     regain_confidence: float = 0.72
     """After it was lost, a resemblance below this is not the target yet."""
     keep_of_usual: float = 0.6
-    """While tracking, a resemblance below this share of the usual is not the target: what vanishes, vanishes suddenly."""
+    """While tracking, a resemblance below this share of the usual is not the target: what vanishes does so suddenly."""
     linger_s: float = 0.5
     """After a loss, for so long it is also looked for where it was, on the terms of tracking."""
     surprise: float = 0.12
