@@ -9,13 +9,14 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict, deque
 
+FrameKey = tuple[str, int]
 KEPT = 256
 OFFSET_WINDOW = 300
 """Frames whose smallest delay sets the offset: ten seconds, in which two quartz clocks part by well below 1 ms."""
 
 
 class FrameClock:
-    """Times of one connection's frames. `note` and `time_s` may be called from two threads.
+    """Times of frames, each known by its key (connection, number). `note` and `time_s` may be called from two threads.
 
     `stepped`: the peer goes in lockstep, where the agent's own times are used as they are and are worth waiting for.
     """
@@ -24,25 +25,25 @@ class FrameClock:
         self.uses_capture_times = False
         """Whether the newest time came from telemetry."""
         self._stepped, self._wait_s = stepped, wait_s
-        self._captures: OrderedDict[int, float] = OrderedDict()
+        self._captures: OrderedDict[FrameKey, float] = OrderedDict()
         self._delays: deque[float] = deque(maxlen=OFFSET_WINDOW)
         self._noted = threading.Condition()
         self._last_s = float("-inf")
 
-    def note(self, number: int, capture_s: float) -> None:
-        """Telemetry says that frame `number` was taken at `capture_s`."""
+    def note(self, key: FrameKey, capture_s: float) -> None:
+        """Telemetry says that this frame was taken at `capture_s`, on the agent's clock."""
         with self._noted:
-            self._captures[number] = capture_s
+            self._captures[key] = capture_s
             while len(self._captures) > KEPT:
                 self._captures.popitem(last=False)
             self._noted.notify_all()
 
-    def time_s(self, number: int, arrival_s: float) -> float:
-        """The time of frame `number`, never before that of the frame asked for before."""
+    def time_s(self, key: FrameKey, arrival_s: float) -> float:
+        """The time of this frame, never before that of the frame asked for before."""
         with self._noted:
             if self._wait_s:
-                self._noted.wait_for(lambda: number in self._captures, self._wait_s)
-            capture_s = self._captures.get(number)
+                self._noted.wait_for(lambda: key in self._captures, self._wait_s)
+            capture_s = self._captures.get(key)
         self.uses_capture_times = capture_s is not None
         if capture_s is None:
             time_s = arrival_s

@@ -69,7 +69,7 @@ class Link:
         self._raw: RawConnection | None = None
         self._assume()
         self._fresh = threading.Condition()
-        self._newest: tuple[int, int, bytearray, float] | None = None
+        self._newest: tuple[str, int, bytearray, float] | None = None
         self._failure: StationError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
@@ -99,7 +99,7 @@ class Link:
             if self._newest is None:
                 return None
             (connection, number, data, arrival_s), self._newest = self._newest, None
-        time_s = self._clock.time_s(number, arrival_s)
+        time_s = self._clock.time_s((connection, number), arrival_s)
         image = np.frombuffer(data, np.uint8).reshape(self._format.height, self._format.width)
         image.flags.writeable = False
         frame = Frame(image=image, number=number, time_s=time_s, camera=self._camera, connection=connection)
@@ -155,7 +155,7 @@ class Link:
             while not self._closing.is_set():
                 received = raw.receive(0.1)
                 if received is not None:
-                    self._offer(raw.frames_received, *received)
+                    self._offer(raw, *received)
         except LinkLost as error:
             self._say(f"lost the robot: {error}")
         finally:
@@ -212,17 +212,17 @@ class Link:
             f"(--width, --height), arrival times, commands {signs}."
         )
 
-    def _offer(self, number: int, data: bytearray, arrival_s: float) -> None:
+    def _offer(self, raw: RawConnection, data: bytearray, arrival_s: float) -> None:
         with self._fresh:
             self.skipped += self._newest is not None
-            self._newest = (self.connections, number, data, arrival_s)
+            self._newest = (raw.address, raw.frames_received, data, arrival_s)
             self._fresh.notify()
 
     def _take_telemetry(self, telemetry: Telemetry) -> None:
         self.telemetry = telemetry
-        raw, stamp = self._raw, telemetry.frame
-        if stamp is not None and (raw is None or telemetry.station == raw.address):
-            self._clock.note(stamp.number, stamp.capture_s)
+        stamp = telemetry.frame
+        if stamp is not None and telemetry.station is not None:
+            self._clock.note((telemetry.station, stamp.number), stamp.capture_s)
         self.ended = self.ended or telemetry.ended
         if self._on_telemetry is not None:
             self._on_telemetry(telemetry)

@@ -22,8 +22,8 @@ class Frame:
     number: int
     time_s: float
     camera: PinholeCamera
-    connection: int = 1
-    """Counts the connections to the robot: numbers begin anew with each."""
+    connection: str = ""
+    """Which connection to the robot: the station's own end of it. Numbers begin anew with each."""
 
 
 @dataclass(frozen=True)

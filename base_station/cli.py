@@ -1,0 +1,292 @@
+"""The base-station command."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import queue
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.logging import RichHandler
+from tyro.conf import arg
+
+from base_station.behaviours.registry import check_behaviour
+from base_station.display import StatusLine, summary_table
+from base_station.errors import StationError
+from base_station.evaluation.closed_loop import LoopLog, Summary
+from base_station.evaluation.overlap import read_results, read_truth, score_boxes
+from base_station.evaluation.picture import RunPicture
+from base_station.link import Link, LinkSettings
+from base_station.results import ResultsFile
+from base_station.station import Station, StationSettings, Step
+from base_station.terminal import pressed_keys
+from base_station.trackers.base import Tracker
+from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracker_names
+from base_station.types import Box
+
+EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Run:
+    """Connect to a robot, watch its pictures with a tracker and drive it."""
+
+    tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
+    """ztransform, phase, or one of your own: path/to/file.py:ClassName."""
+    behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
+    """follow, idle, pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
+    target: str | None = None
+    """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole view."""
+    shadow: str | None = None
+    """A second tracker on the same frames; the first one steers."""
+    host: str = "127.0.0.1"
+    """The robot's name or address."""
+    port: int = 31440
+    """The first of the robot's four ports."""
+    width: int = 640
+    """Picture width of a peer that says no hello."""
+    height: int = 480
+    """Picture height of a peer that says no hello."""
+    signed_peer: bool = False
+    """A peer without hello understands negative speeds; else they are cut to 0..127 for it."""
+    duration: float | None = None
+    """End after this many seconds of the frames' time."""
+    max_frames: int | None = None
+    """End after this many frames."""
+    results: Path | None = None
+    """Write a CSV row per frame to this file."""
+    summary: Path | None = None
+    """Write the run's summary to this JSON file."""
+    picture: Path | None = None
+    """Write a picture of the run (last view, path, errors) to this PNG file."""
+    quiet: bool = False
+    """No status line and no table."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Score:
+    """Compare the boxes of a --results file with true ones (OTB's groundtruth_rect.txt): overlap, AUC, precision."""
+
+    results: tyro.conf.Positional[Path]
+    """A file written by `base-station run --results`."""
+    truth: tyro.conf.Positional[Path]
+    """Lines of x,y,width,height."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Trackers:
+    """List the trackers."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
+    try:
+        command = tyro.cli(
+            Run | Score | Trackers,  # type: ignore[arg-type]
+            prog="base-station",
+            description="The station on the PC: sees with a tracker, drives with a behaviour.",
+            args=arguments,
+            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        )
+    except SystemExit as end:  # tyro's own way out: after --help, or after having said what was wrong
+        return EXIT_USAGE if end.code else EXIT_DONE
+    console = Console(stderr=True)
+    try:
+        if isinstance(command, Run):
+            return _run(command, console)
+        if isinstance(command, Score):
+            return _score(command)
+        print("\n".join(tracker_names()))
+        return EXIT_DONE
+    except StationError as error:
+        console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        return EXIT_USAGE if error.usage else EXIT_FAILED
+
+
+def _score(command: Score) -> int:
+    found, truth = read_results(command.results), read_truth(command.truth)
+    frames = min(len(found), len(truth))
+    if frames == 0:
+        raise StationError("There are no frames to compare.")
+    if len(found) != len(truth):
+        print(f"comparing the first {frames} frames ({len(found)} results, {len(truth)} true boxes)", file=sys.stderr)
+    print(json.dumps(dataclasses.asdict(score_boxes(found[:frames], truth[:frames])), indent=2))
+    return EXIT_DONE
+
+
+def _parse_box(text: str) -> Box:
+    try:
+        x, y, width, height = (float(part) for part in text.split(","))
+        return Box(x, y, width, height)
+    except ValueError:
+        raise StationError(f"--target {text}: write x,y,width,height in px, such as 250,150,140,140.", usage=True) from None
+
+
+def _tracker(name: str) -> Tracker:
+    try:
+        return make_tracker(name)
+    except ValueError as error:
+        raise StationError(str(error), usage=True) from error
+
+
+def _check(run: Run) -> None:
+    """Find mistakes of usage before anything is opened."""
+    try:
+        check_behaviour(run.behaviour)
+    except ValueError as error:
+        raise StationError(str(error), usage=True) from error
+    for name, value in (("--duration", run.duration), ("--max-frames", run.max_frames)):
+        if value is not None and value <= 0:
+            raise StationError(f"{name} must be positive, not {value}.", usage=True)
+    for name, side in (("--width", run.width), ("--height", run.height)):
+        if not 1 <= side <= 8192:
+            raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
+    if not 1 <= run.port <= 65532:
+        raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
+    for name, path in (("--summary", run.summary), ("--picture", run.picture)):
+        if path is not None and not path.parent.is_dir():
+            raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
+
+
+def _run(run: Run, console: Console) -> int:
+    _check(run)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[RichHandler(console=console, show_path=False)])
+    settings = StationSettings(
+        behaviour=run.behaviour,
+        target=_parse_box(run.target) if run.target is not None else None,
+        duration_s=run.duration,
+        max_frames=run.max_frames,
+    )
+    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour)
+    with ExitStack() as stack:
+        tracker = _tracker(run.tracker)
+        stack.callback(tracker.close)
+        shadow = _tracker(run.shadow) if run.shadow is not None else None
+        if shadow is not None:
+            stack.callback(shadow.close)
+        results = ResultsFile(run.results) if run.results is not None else None
+        if results is not None:
+            stack.callback(results.close)
+        picture = RunPicture() if run.picture is not None else None
+        link = stack.enter_context(
+            Link(
+                LinkSettings(
+                    host=run.host, port=run.port, width=run.width, height=run.height, signed_peer=run.signed_peer
+                ),
+                on_telemetry=log.note_telemetry,
+            )
+        )
+        keys = stack.enter_context(pressed_keys())
+        line = None if run.quiet else stack.enter_context(_status_line(run, console, link, keys is not None))
+        observers = [log.note_step]
+        observers += [results.write] if results is not None else []
+        observers += [picture.note_step] if picture is not None else []
+        observers += [line.step] if line is not None else []
+        station = _station(link, tracker, settings, shadow, keys, observers, line)
+        _end_on_signals(station)
+        _drive(station)
+        log.wait_for_truth()
+    return _conclude(run, console, link, log, picture)
+
+
+def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:
+    hint = "space: emergency stop  r: release  l: learn  q: quit" if has_keys else ""
+    return StatusLine(console, link, run.tracker, run.behaviour, hint)
+
+
+def _station(
+    link: Link,
+    tracker: Tracker,
+    settings: StationSettings,
+    shadow: Tracker | None,
+    keys: queue.SimpleQueue[str] | None,
+    observers: list[Callable[[Step], None]],
+    line: StatusLine | None,
+) -> Station:
+    driving: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def on_step(step: Step) -> None:
+        for observer in observers:
+            observer(step)
+        obey_keys()
+
+    def on_wait() -> None:
+        if line is not None:
+            line.wait()
+        obey_keys()
+
+    station = Station(link, tracker, settings, shadow=shadow, keys=driving, on_step=on_step, on_wait=on_wait)
+    actions = {
+        " ": lambda: station.emergency("stop"),
+        "r": lambda: station.emergency("release"),
+        "l": station.learn_now,
+        "q": station.stop,
+    }
+
+    def obey_keys() -> None:
+        while keys is not None and not keys.empty():
+            key = keys.get_nowait()
+            if key in actions:
+                actions[key]()
+            else:
+                driving.put(key)
+
+    return station
+
+
+def _end_on_signals(station: Station) -> None:
+    def end(_number: int, _frame: FrameType | None) -> None:
+        station.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, end)
+
+
+def _drive(station: Station) -> None:
+    try:
+        station.run()
+    except StationError:
+        raise
+    except Exception as error:
+        # A tracker of the user's own may fail in any way: the station has sent a stop; say where it failed.
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise StationError(
+            f"Stopped the robot: {type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})."
+        ) from error
+
+
+def _conclude(run: Run, console: Console, link: Link, log: LoopLog, picture: RunPicture | None) -> int:
+    hello = link.hello
+    scenario = hello.scenario if hello is not None else None
+    summary: Summary = log.summary(
+        scenario=scenario.name if scenario is not None else None,
+        seed=scenario.seed if scenario is not None else None,
+        rhythm=hello.rhythm if hello is not None else None,
+    )
+    if run.summary is not None:
+        _write(run.summary, (json.dumps(summary.as_dict(), indent=2) + "\n").encode())
+    if run.picture is not None and picture is not None:
+        _write(run.picture, picture.png(log.truths(), summary))
+    if not run.quiet:
+        console.print(summary_table(summary))
+    if summary.frames == 0:
+        raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
+    return EXIT_DONE
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise StationError(f"{path} cannot be written ({error.strerror}).") from error
+

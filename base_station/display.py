@@ -1,0 +1,128 @@
+"""What the station shows in the terminal: a live status line, and a table at the end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from base_station.evaluation.closed_loop import Summary
+from base_station.link import Link
+from base_station.station import Step
+from base_station.types import TrackerResult, TrackingState
+
+REFRESH_S = 0.2
+PLAIN_REFRESH_S = 2.0
+"""Without a terminal: a line of text this often."""
+STYLES = {TrackingState.TRACKING: "bold green", TrackingState.LOST: "bold red", TrackingState.INITIALIZING: "yellow"}
+
+
+class StatusLine:
+    """Use as a context manager; `step` and `wait` may be called as often as one likes, it draws now and then."""
+
+    def __init__(self, console: Console, link: Link, tracker: str, behaviour: str, hint: str = "") -> None:
+        self._console, self._link = console, link
+        self._names = f"{tracker} · {behaviour}"
+        self._hint = hint
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._walls_s: deque[float] = deque(maxlen=60)
+        self._drawn_s = float("-inf")
+        self._result: TrackerResult | None = None
+
+    def __enter__(self) -> StatusLine:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def step(self, step: Step) -> None:
+        """A frame was dealt with."""
+        self._walls_s.append(time.monotonic())
+        self._result = step.result
+        self._draw()
+
+    def wait(self) -> None:
+        """No frame came."""
+        self._result = None
+        self._draw()
+
+    def _draw(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._drawn_s < (REFRESH_S if self._live is not None else PLAIN_REFRESH_S):
+            return
+        self._drawn_s = now_s
+        if self._live is not None:
+            self._live.update(self._line(), refresh=True)
+        else:
+            self._console.print(self._line().plain, soft_wrap=True)
+
+    def _line(self) -> Text:
+        line = Text(f"{self._names}  ", style="cyan")
+        if self._result is None:
+            line.append(self._link.state, style="yellow")
+            return line
+        line.append(f"{self._result.state.value} ", style=STYLES[self._result.state])
+        line.append(describe(self._result), style="default")
+        line.append(f"  {self._rate_hz():.1f} Hz", style="default")
+        telemetry = self._link.telemetry
+        if telemetry is not None and telemetry.reason:
+            line.append(f"  wheels {telemetry.safety}: {telemetry.reason}", style="bold magenta")
+        line.append(f"  {self._hint}", style="dim")
+        return line
+
+    def _rate_hz(self) -> float:
+        if len(self._walls_s) < 2:
+            return 0.0
+        return (len(self._walls_s) - 1) / max(self._walls_s[-1] - self._walls_s[0], 1e-6)
+
+
+def describe(result: TrackerResult) -> str:
+    """A result in a few words: bearing, zoom and confidence, or why there are none."""
+    if result.state is not TrackingState.TRACKING:
+        return f"({result.reason})"
+    parts = []
+    if result.bearing_rad is not None:
+        parts.append(f"bearing {math.degrees(result.bearing_rad):+6.2f}°")
+    if result.zoom is not None:
+        parts.append(f"zoom {result.zoom:.3f}")
+    parts.append(f"confidence {result.confidence:.2f}")
+    return "  ".join(parts)
+
+
+def summary_table(summary: Summary) -> Table:
+    """What a person wants to know after a run; lines that do not apply are left out."""
+    table = Table(title=f"{summary.tracker} · {summary.behaviour} · {summary.duration_s:.1f} s", show_header=False)
+    lines = (
+        ("frames", summary.frames, "{:d}"),
+        ("loop", summary.loop_hz, "{:.1f} Hz"),
+        ("tracker, median", summary.tracker_ms_p50, "{:.3f} ms"),
+        ("frame to command, median", summary.frame_to_command_ms_p50, "{:.2f} ms"),
+        ("frame to command, 95 %", summary.frame_to_command_ms_p95, "{:.2f} ms"),
+        ("tracked while in view", _percent(summary.tracking_share), "{:.1f} %"),
+        ("bearing error, RMS", summary.bearing_error_deg_rms, "{:.2f}°"),
+        ("bearing estimate error, RMS", summary.bearing_estimate_error_deg_rms, "{:.2f}°"),
+        ("distance error, RMS", _percent(summary.distance_error_rel_rms), "{:.2f} %"),
+        ("at the end: distance error", summary.final_distance_error_m, "{:.3f} m"),
+        ("at the end: bearing error", summary.final_bearing_error_deg, "{:.2f}°"),
+        ("settled after", summary.settled_s, "{:.1f} s"),
+        ("LOST said after", summary.lost_said_after_s, "{:.2f} s"),
+        ("because", summary.lost_reason, "{}"),
+        ("collisions", summary.collisions, "{:d}"),
+    )
+    for name, value, form in lines:
+        if value is not None:
+            table.add_row(name, form.format(value))
+    return table
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else share * 100

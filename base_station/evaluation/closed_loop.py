@@ -1,0 +1,251 @@
+"""The summary of a run: how often the target was tracked, how well the robot saw and followed it, what it cost.
+
+The truth comes from the simulator's telemetry and is used here only, after the fact. Without it those fields are None.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from base_station.station import Step
+from base_station.types import TrackingState
+from protocol import Telemetry, Truth
+
+SETTLING_S = 5.0
+"""The first seconds do not count for the errors: the robot has yet to get there."""
+FINAL_S = 1.0
+SETTLED_DISTANCE_M, SETTLED_BEARING_DEG = 0.01, 0.5
+SET_DOWN_M = 0.2
+"""A robot that moves further than this between two frames was carried."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """One run. Errors in degrees, metres or relative to the learned range; None where it does not apply."""
+
+    scenario: str | None
+    tracker: str
+    behaviour: str
+    seed: int | None
+    rhythm: str | None
+    duration_s: float
+    frames: int
+    frames_dropped: int | None
+    """By the agent, because the station was slow."""
+    loop_hz: float | None
+    tracker_ms_p50: float | None
+    frame_to_command_ms_p50: float | None
+    frame_to_command_ms_p95: float | None
+    agent_cpu_s: float | None
+    station_cpu_s: float
+    tracking_share: float | None
+    """Frames in state TRACKING of those after learning with the picture in view."""
+    bearing_error_deg_rms: float | None
+    """True bearing of the picture's centre from the optical axis: how well it follows."""
+    bearing_estimate_error_deg_rms: float | None
+    """Reported against true bearing: how well it sees."""
+    distance_error_rel_rms: float | None
+    final_distance_error_m: float | None
+    final_bearing_error_deg: float | None
+    settled_s: float | None
+    """From learning (or from when the robot was set down) until within 1 cm and 0.5 degrees for good."""
+    lost_said_after_s: float | None
+    """From the target's last frame in view to the first LOST, when it was out of view at the end."""
+    lost_reason: str | None
+    collisions: int | None
+
+    def as_dict(self) -> dict[str, object]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One frame after learning, with its truth."""
+
+    time_s: float
+    tracking: bool
+    reason: str
+    bearing_estimate_rad: float | None
+    truth: Truth
+
+
+class LoopLog:
+    """Collects steps and telemetry while a run goes on (from two threads), and sums them up."""
+
+    def __init__(self, *, tracker: str, behaviour: str) -> None:
+        self._tracker, self._behaviour = tracker, behaviour
+        self._lock = threading.Lock()
+        self._truths: dict[tuple[str, int], Truth] = {}
+        self._steps: list[tuple[str, int, float, TrackingState, str, float | None]] = []
+        self._learned_key: tuple[str, int] | None = None
+        self._learned_at = 0
+        self._tracker_s: list[float] = []
+        self._delays_s: list[float] = []
+        self._walls_s: list[float] = []
+        self._first_telemetry: Telemetry | None = None
+        self._last_telemetry: Telemetry | None = None
+        self._cpu_zero_s = time.process_time()
+
+    def note_telemetry(self, telemetry: Telemetry) -> None:
+        """Keep the truth of the frame that the message stamps."""
+        with self._lock:
+            if self._first_telemetry is None:
+                self._first_telemetry = telemetry
+            self._last_telemetry = telemetry
+            stamp = telemetry.frame
+            if telemetry.truth is not None and stamp is not None and telemetry.station is not None:
+                self._truths.setdefault((telemetry.station, stamp.number), telemetry.truth)
+
+    def note_step(self, step: Step) -> None:
+        """Keep what matters of a step; not its picture."""
+        if not self._walls_s:
+            self._cpu_zero_s = time.process_time()
+        self._walls_s.append(time.monotonic())
+        frame, result = step.frame, step.result
+        if step.learned and self._learned_key is None:
+            self._learned_key, self._learned_at = (frame.connection, frame.number), len(self._steps)
+        self._steps.append(
+            (frame.connection, frame.number, frame.time_s, result.state, result.reason, result.bearing_rad)
+        )
+        if step.learned:
+            return  # learning is no tracking, its time would hide that of the frames
+        self._tracker_s.append(step.tracker_s)
+        if step.frame_to_command_s is not None:
+            self._delays_s.append(step.frame_to_command_s)
+
+    def wait_for_truth(self, timeout_s: float = 0.5) -> None:
+        """Telemetry may come after its frame: wait for that of the last one."""
+        deadline_s = time.monotonic() + timeout_s
+        while self._truths and self._steps and self._steps[-1][:2] not in self._truths:
+            if time.monotonic() > deadline_s:
+                return
+            time.sleep(0.005)
+
+    def truths(self) -> list[tuple[float, Truth]]:
+        """(time in s since the first frame, truth) of the frames seen, for plots."""
+        with self._lock:
+            zero_s = self._steps[0][2] if self._steps else 0.0
+            return [(step[2] - zero_s, self._truths[step[:2]]) for step in self._steps if step[:2] in self._truths]
+
+    def summary(self, *, scenario: str | None, seed: int | None, rhythm: str | None) -> Summary:
+        """Sum up. Call after the run."""
+        with self._lock:
+            rows = self._rows()
+        learned = self._truths.get(self._learned_key) if self._learned_key else None
+        first, last = self._first_telemetry, self._last_telemetry
+        times_s = [step[2] for step in self._steps]
+        wall_s = self._walls_s[-1] - self._walls_s[0] if len(self._walls_s) > 1 else 0.0
+        zero_s = times_s[0] if times_s else 0.0
+        settled = [row for row in rows if row.time_s - zero_s >= SETTLING_S]
+        final = [row for row in rows if row.time_s > rows[-1].time_s - FINAL_S]
+        learned_range_m = learned.range_m if learned is not None else None
+        said_s, reason = _lost_said(rows)
+        return Summary(
+            scenario=scenario,
+            tracker=self._tracker,
+            behaviour=self._behaviour,
+            seed=seed,
+            rhythm=rhythm,
+            duration_s=_rounded(times_s[-1] - zero_s if times_s else 0.0) or 0.0,
+            frames=len(self._steps),
+            frames_dropped=last.frame.dropped if last is not None and last.frame is not None else None,
+            loop_hz=_rounded((len(self._walls_s) - 1) / wall_s) if wall_s > 0 else None,
+            tracker_ms_p50=_quantile_ms(self._tracker_s, 50),
+            frame_to_command_ms_p50=_quantile_ms(self._delays_s, 50),
+            frame_to_command_ms_p95=_quantile_ms(self._delays_s, 95),
+            agent_cpu_s=_rounded(last.cpu_s - first.cpu_s) if first is not None and last is not None else None,
+            station_cpu_s=_rounded(time.process_time() - self._cpu_zero_s) or 0.0,
+            tracking_share=_tracking_share(rows),
+            bearing_error_deg_rms=_rms(_true_bearings_deg(settled)) if learned_range_m else None,
+            bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled)),
+            distance_error_rel_rms=_rms(_distance_errors(settled, learned_range_m)),
+            final_distance_error_m=_mean_abs(_distance_errors(final, learned_range_m), learned_range_m),
+            final_bearing_error_deg=_mean_abs(_true_bearings_deg(final)) if learned_range_m else None,
+            settled_s=_settled_s(rows, learned_range_m),
+            lost_said_after_s=said_s,
+            lost_reason=reason,
+            collisions=rows[-1].truth.collisions if rows else None,
+        )
+
+    def _rows(self) -> list[_Row]:
+        if self._learned_key is None:
+            return []
+        return [
+            _Row(time_s, state is TrackingState.TRACKING, reason, bearing_rad, self._truths[connection, number])
+            for connection, number, time_s, state, reason, bearing_rad in self._steps[self._learned_at :]
+            if (connection, number) in self._truths
+        ]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)
+
+
+def _quantile_ms(values_s: list[float], percent: float) -> float | None:
+    return _rounded(float(np.percentile(values_s, percent)) * 1e3) if values_s else None
+
+
+def _rms(values: list[float]) -> float | None:
+    return _rounded(math.sqrt(float(np.mean(np.square(values))))) if values else None
+
+
+def _mean_abs(values: list[float], scale: float | None = 1.0) -> float | None:
+    return _rounded(float(np.mean(np.abs(values))) * scale) if values and scale else None
+
+
+def _tracking_share(rows: list[_Row]) -> float | None:
+    in_view = [row.tracking for row in rows if row.truth.in_view]
+    return _rounded(float(np.mean(in_view))) if in_view else None
+
+
+def _true_bearings_deg(rows: list[_Row]) -> list[float]:
+    return [math.degrees(row.truth.bearing_rad) for row in rows if row.truth.bearing_rad is not None]
+
+
+def _estimate_errors_deg(rows: list[_Row]) -> list[float]:
+    return [
+        math.degrees(row.bearing_estimate_rad - row.truth.bearing_rad)
+        for row in rows
+        if row.bearing_estimate_rad is not None and row.truth.bearing_rad is not None
+    ]
+
+
+def _distance_errors(rows: list[_Row], learned_range_m: float | None) -> list[float]:
+    """Relative to the learned range."""
+    if not learned_range_m:
+        return []
+    return [row.truth.range_m / learned_range_m - 1.0 for row in rows if row.truth.range_m is not None]
+
+
+def _settled_s(rows: list[_Row], learned_range_m: float | None) -> float | None:
+    if not learned_range_m or not rows:
+        return None
+    begin_s, since_s = rows[0].time_s, None
+    for before, row in zip([rows[0], *rows], rows, strict=False):
+        moved_m = math.dist(before.truth.robot[:2], row.truth.robot[:2])
+        if moved_m > SET_DOWN_M:
+            begin_s, since_s = row.time_s, None
+        if row.truth.range_m is None or row.truth.bearing_rad is None:
+            return None
+        there = (
+            abs(row.truth.range_m - learned_range_m) <= SETTLED_DISTANCE_M
+            and abs(math.degrees(row.truth.bearing_rad)) <= SETTLED_BEARING_DEG
+        )
+        since_s = (row.time_s if since_s is None else since_s) if there else None
+    return _rounded(since_s - begin_s) if since_s is not None else None
+
+
+def _lost_said(rows: list[_Row]) -> tuple[float | None, str | None]:
+    """How long after the target left for good LOST was said, and with which reason."""
+    last_seen = max((i for i, row in enumerate(rows) if row.truth.in_view), default=None)
+    if last_seen is None or last_seen == len(rows) - 1:
+        return None, None
+    lost = next((row for row in rows[last_seen + 1 :] if not row.tracking), None)
+    if lost is None:
+        return None, None
+    return _rounded(lost.time_s - rows[last_seen].time_s), lost.reason

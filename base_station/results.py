@@ -1,0 +1,53 @@
+"""Tracker results as a CSV file: one row per frame, for spreadsheets and for scoring against a truth."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import TextIO
+
+from base_station.errors import StationError
+from base_station.station import Step
+
+COLUMNS = (
+    "frame", "time_s", "state", "reason", "x", "y", "width", "height",
+    "shift_px", "shift_y_px", "bearing_deg", "elevation_deg", "zoom", "confidence", "left", "right",
+)  # fmt: skip
+
+
+class ResultsFile:
+    """Opened at once, so that a path that cannot be written is known before the robot moves. Raises StationError."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file: TextIO = path.open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            raise StationError(f"{path} cannot be written ({error.strerror}).", usage=True) from error
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(COLUMNS)
+
+    def write(self, step: Step) -> None:
+        """One row; what the tracker could not tell stays empty."""
+        result, box = step.result, step.result.box
+        sides = (box.x, box.y, box.width, box.height) if box is not None else (None,) * 4
+        angles = (_degrees(result.bearing_rad), _degrees(result.elevation_rad))
+        numbers = (*sides, result.shift_px, result.shift_y_px, *angles, result.zoom, result.confidence)
+        self._writer.writerow(
+            [
+                step.frame.number,
+                f"{step.frame.time_s:.6f}",
+                result.state.value,
+                result.reason,
+                *("" if number is None else f"{number:.4f}" for number in numbers),
+                step.command.left,
+                step.command.right,
+            ]
+        )
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else math.degrees(angle_rad)
