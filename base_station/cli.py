@@ -18,6 +18,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 from rich.logging import RichHandler
+from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from base_station.behaviours.registry import check_behaviour
@@ -46,7 +47,8 @@ class Run:
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
     """follow, idle, pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
     target: str | None = None
-    """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole view."""
+    """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
+    view."""
     shadow: str | None = None
     """A second tracker on the same frames; the first one steers."""
     host: str = "127.0.0.1"
@@ -92,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers,  # type: ignore[arg-type]
+            Run | Score | Trackers,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -129,7 +131,9 @@ def _parse_box(text: str) -> Box:
         x, y, width, height = (float(part) for part in text.split(","))
         return Box(x, y, width, height)
     except ValueError:
-        raise StationError(f"--target {text}: write x,y,width,height in px, such as 250,150,140,140.", usage=True) from None
+        raise StationError(
+            f"--target {text}: write x,y,width,height in px, such as 250,150,140,140.", usage=True
+        ) from None
 
 
 def _tracker(name: str) -> Tracker:
@@ -160,7 +164,8 @@ def _check(run: Run) -> None:
 
 def _run(run: Run, console: Console) -> int:
     _check(run)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[RichHandler(console=console, show_path=False)])
+    handler = RichHandler(console=console, show_path=False)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     settings = StationSettings(
         behaviour=run.behaviour,
         target=_parse_box(run.target) if run.target is not None else None,
@@ -169,6 +174,7 @@ def _run(run: Run, console: Console) -> int:
     )
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour)
     with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
         tracker = _tracker(run.tracker)
         stack.callback(tracker.close)
         shadow = _tracker(run.shadow) if run.shadow is not None else None
@@ -188,7 +194,7 @@ def _run(run: Run, console: Console) -> int:
         )
         keys = stack.enter_context(pressed_keys())
         line = None if run.quiet else stack.enter_context(_status_line(run, console, link, keys is not None))
-        observers = [log.note_step]
+        observers: list[Callable[[Step], None]] = [log.note_step]
         observers += [results.write] if results is not None else []
         observers += [picture.note_step] if picture is not None else []
         observers += [line.step] if line is not None else []
@@ -289,4 +295,3 @@ def _write(path: Path, data: bytes) -> None:
         path.write_bytes(data)
     except OSError as error:
         raise StationError(f"{path} cannot be written ({error.strerror}).") from error
-

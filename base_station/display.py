@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
@@ -40,7 +39,7 @@ class StatusLine:
             self._live.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 
@@ -88,7 +87,7 @@ class StatusLine:
 def describe(result: TrackerResult) -> str:
     """A result in a few words: bearing, zoom and confidence, or why there are none."""
     if result.state is not TrackingState.TRACKING:
-        return f"({result.reason})"
+        return f"- {result.reason}"
     parts = []
     if result.bearing_rad is not None:
         parts.append(f"bearing {math.degrees(result.bearing_rad):+6.2f}°")

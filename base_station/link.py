@@ -1,7 +1,7 @@
 """The link to one robot: keeps connecting, hands out the newest frame, takes commands, and says how it stands.
 
-A thread receives; the station's loop asks for `next_frame`. Frames that the loop has no time for are counted and passed over:
-the newest wins. When the robot goes away the link says so and tries again until it is back.
+A thread receives; the station's loop asks for `next_frame`. Frames that the loop has no time for are counted and passed
+over: the newest wins. When the robot goes away the link says so and tries again until it is back.
 """
 
 from __future__ import annotations
@@ -206,10 +206,10 @@ class Link:
         """What is assumed of a peer without hello, in words; empty when it said hello."""
         if self.hello is not None:
             return ""
-        signs = "signed (--signed-peer)" if self.settings.signed_peer else "clamped to 0..127, it may read them unsigned"
+        signs = "signed" if self.settings.signed_peer else "cut to 0..127 (--signed-peer if it reads them signed)"
         return (
-            f"No hello on port {self.settings.port + 3}: a peer with the raw ports only. Assuming frames of {self._format} "
-            f"(--width, --height), arrival times, commands {signs}."
+            f"No hello on port {self.settings.port + 3}: a peer with the raw ports only. Assuming frames of "
+            f"{self._format} (--width, --height), arrival times, commands {signs}."
         )
 
     def _offer(self, raw: RawConnection, data: bytearray, arrival_s: float) -> None:
@@ -241,6 +241,4 @@ def _camera_of(hello: Hello) -> PinholeCamera:
         return PinholeCamera.with_fov(
             hello.width, hello.height, first_row=hello.first_row, full_height=hello.full_height
         )
-    return PinholeCamera(
-        width=hello.width, height=hello.height, fx=known.fx, fy=known.fy, cx=known.cx, cy=known.cy
-    )
+    return PinholeCamera(width=hello.width, height=hello.height, fx=known.fx, fy=known.fy, cx=known.cx, cy=known.cy)

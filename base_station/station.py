@@ -86,7 +86,7 @@ class Station:
         self._learn_asked = True
 
     def emergency(self, action: str) -> None:
-        """"stop" or "release" the robot's emergency stop. Says so when the robot has no control port."""
+        """ "stop" or "release" the robot's emergency stop. Says so when the robot has no control port."""
         if self._link.ask(Request(action=action, text="by the operator")) is None:
             log.warning("this robot has no control port: no emergency stop, commands only")
 

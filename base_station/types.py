@@ -42,7 +42,8 @@ class Box:
 
     def __post_init__(self) -> None:
         if not all(np.isfinite((self.x, self.y, self.width, self.height))) or self.width <= 0 or self.height <= 0:
-            raise ValueError(f"not a box: {self.x},{self.y},{self.width},{self.height} (x,y,width,height, both sides > 0)")
+            sides = f"{self.x},{self.y},{self.width},{self.height}"
+            raise ValueError(f"not a box: {sides} (x,y,width,height, both sides > 0)")
 
     @property
     def center_px(self) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Frames on port 31440: gray pictures back to back, no header, no handshake (thesis, listings A.1 and A.2).
 
-A frame is `height * width` bytes, 8-bit gray, row-major. Its format is agreed outside the stream (hello, or by hand), so
-the decoder is told it once. The decoder does no I/O: a socket loop reads straight into `writable()` and reports with
+A frame is `height * width` bytes, 8-bit gray, row-major. Its format is agreed outside the stream (hello, or by hand),
+so the decoder is told it once. The decoder does no I/O: a socket loop reads straight into `writable()` and reports with
 `advance(n)`, and the frame that is handed out is the buffer that the socket filled: nothing is copied.
 """
 
@@ -19,8 +19,8 @@ class FrameFormat:
     """What a frame on the wire is: a band of rows of the camera's picture, or all of it.
 
     `width` and `height` are those of the frame sent. `first_row` is the row of the camera's picture that the frame's
-    row 0 shows, `full_height` the height of that whole picture (0 on construction means: the frame is the whole picture).
-    Raises ProtocolError when a side is not 1..8192 or the band does not lie in the picture.
+    row 0 shows, `full_height` the height of that whole picture (0 on construction means: the frame is the whole
+    picture). Raises ProtocolError when a side is not 1..8192 or the band does not lie in the picture.
     """
 
     width: int
@@ -37,7 +37,7 @@ class FrameFormat:
                 raise ProtocolError(f"frame {name} is {value}, it must be 1..{MAX_SIDE_PX}")
         if self.first_row < 0 or self.first_row + self.height > self.full_height:
             raise ProtocolError(
-                f"rows {self.first_row}:{self.first_row + self.height} do not lie in a picture of {self.full_height} rows"
+                f"rows {self.first_row}:{self.first_row + self.height} do not lie in a picture of {self.full_height}"
             )
 
     @property
@@ -108,5 +108,6 @@ class FrameDecoder:
         """The stream ended. Raises TruncatedError when that was in the middle of a frame."""
         if self._filled:
             raise TruncatedError(
-                f"the stream ended inside frame {self.frames + 1}: {self._filled} of {self.format.size_bytes} bytes had arrived"
+                f"the stream ended inside frame {self.frames + 1}: "
+                f"{self._filled} of {self.format.size_bytes} bytes had arrived"
             )

@@ -92,9 +92,7 @@ class Hello:
     @property
     def format(self) -> FrameFormat:
         """The frames on port 31440. Raises ProtocolError when the numbers make no frame."""
-        return FrameFormat(
-            width=self.width, height=self.height, first_row=self.first_row, full_height=self.full_height
-        )
+        return FrameFormat(width=self.width, height=self.height, first_row=self.first_row, full_height=self.full_height)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,8 +137,8 @@ class Truth:
     """Simulation only: where things really are when the stamped frame was taken. For summaries, never for control.
 
     `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is that of the picture's centre from the optical
-    axis, `range_m` its distance from the camera, both None without a picture (in `turn` the bearing is that of the heading at
-    the start). `in_view`: the whole picture is in the frame and not hidden.
+    axis, `range_m` its distance from the camera, both None without a picture (in `turn` the bearing is that of the
+    heading at the start). `in_view`: the whole picture is in the frame and not hidden.
     """
 
     robot: tuple[float, float, float]
@@ -191,7 +189,9 @@ def decode_reply(data: bytes) -> Reply:
     hello = fields.get("hello")
     version = hello.get("protocol") if isinstance(hello, dict) else PROTOCOL_VERSION
     if version != PROTOCOL_VERSION:
-        raise ProtocolError(f"the agent speaks protocol version {version}, this station {PROTOCOL_VERSION}: update the older")
+        raise ProtocolError(
+            f"the agent speaks protocol version {version}, this station {PROTOCOL_VERSION}: update the older"
+        )
     return from_map(Reply, fields)
 
 

@@ -54,7 +54,7 @@ def from_map(kind: type[T], value: Any, where: str = "") -> T:
     if not isinstance(value, dict):
         raise ProtocolError(f"{where or kind.__name__}: a map is expected, {type(value).__name__} came")
     known: dict[str, Any] = {}
-    hints = _hints(kind)
+    hints = _hints(kind)  # type: ignore[arg-type]
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         path = f"{where}.{field.name}" if where else field.name
         if field.name in value:

@@ -1,8 +1,8 @@
 """The agent: camera to station, station to wheels, with the safety supervisor between.
 
-Threads, each with one task: `frames` reads the camera and, in lockstep, also awaits the command; `sender` writes the newest
-frame (free rhythm); `commands` reads commands (free rhythm); `safety` decides a hundred times a second and after every command;
-`outlet` publishes telemetry and answers requests. What they share is small and behind one lock.
+Threads, each with one task: `frames` reads the camera and, in lockstep, also awaits the command; `sender` writes the
+newest frame (free rhythm); `commands` reads commands (free rhythm); `safety` decides a hundred times a second and after
+every command; `outlet` publishes telemetry and answers requests. What they share is small and behind one lock.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,12 +53,13 @@ class AgentSettings:
     allow: tuple[str, ...] = ()
     """Networks from which stations may connect; empty: all that reach `host`."""
     rhythm: str = "free"
-    """"free": the newest frame goes out, commands come when they come. "lockstep": one frame, one command (the thesis)."""
+    """"free": the newest frame goes out, commands come when they come. "lockstep": one frame, one command (the
+    thesis)."""
     rows: tuple[int, int] | None = None
     """Send only these rows of the picture, first and past-last."""
     speed_scale: float = 1.0
     """Motor units per wire unit."""
-    safety: SafetySettings = SafetySettings()
+    safety: SafetySettings = field(default_factory=SafetySettings)
 
 
 class Agent:
@@ -129,7 +130,9 @@ class Agent:
             tasks |= {"sender": self._send_frames, "commands": self._read_commands}
         if not self._stepped:
             tasks["safety"] = self._watch
-        threads = [threading.Thread(target=self._guard, args=(task,), name=name, daemon=True) for name, task in tasks.items()]
+        threads = [
+            threading.Thread(target=self._guard, args=(task,), name=name, daemon=True) for name, task in tasks.items()
+        ]
         self._outlet.start()
         for port in self._ports:
             port.start()
@@ -188,10 +191,10 @@ class Agent:
         self._stopping.set()
         self._decide()
         self._outlet.publish()
+        for thread in threads:
+            thread.join(timeout=2.0)  # daemons: a camera that never returns does not keep the process
         self._robot.close()
         self._camera.close()
-        for thread in threads:
-            thread.join(timeout=2.0)
         self._close_ports()
 
     def _close_ports(self) -> None:
@@ -206,7 +209,8 @@ class Agent:
         picture = self._camera.read(WAIT_S)
         if picture is not None:
             if picture.image.shape != (self._format.full_height, self._format.width):
-                raise CameraError(f"The camera changed its picture to {picture.image.shape[::-1]}: start the agent again.")
+                size = "x".join(map(str, picture.image.shape[::-1]))
+                raise CameraError(f"The camera changed its picture to {size}: start the agent again.")
             with self._lock:
                 self._last_frame_s = self._clock()
         return picture
@@ -262,16 +266,14 @@ class Agent:
             same = before is not None and before.connection == connection
             number = before.number + 1 if before is not None and same else 1
             dropped = before.dropped + replaced if before is not None and same else replaced
-            self._stamp = FrameStamp(
-                connection=connection, number=number, capture_s=picture.capture_s, dropped=dropped
-            )
+            self._stamp = FrameStamp(connection=connection, number=number, capture_s=picture.capture_s, dropped=dropped)
             self._truth = picture.truth
         self._outlet.publish()
 
     def _pixels(self, picture: CameraFrame) -> memoryview:
         """The bytes to send: a view of the camera's picture where its memory allows, without a copy."""
         first = self._format.first_row
-        return memoryview(np.ascontiguousarray(picture.image[first : first + self._format.height])).cast("B")
+        return np.ascontiguousarray(picture.image[first : first + self._format.height]).data.cast("B")
 
     # -- commands --------------------------------------------------------------------------------------------------
 
@@ -416,9 +418,7 @@ def _frame_format(camera: Camera, rows: tuple[int, int] | None) -> FrameFormat:
     first, past_last = rows or (0, camera.height)
     if not 0 <= first < past_last <= camera.height:
         raise AgentError(f"--rows {first}:{past_last}: the picture has rows 0:{camera.height}.")
-    return FrameFormat(
-        width=camera.width, height=past_last - first, first_row=first, full_height=camera.height
-    )
+    return FrameFormat(width=camera.width, height=past_last - first, first_row=first, full_height=camera.height)
 
 
 def _safety_for(camera: Camera, robot: Robot, settings: SafetySettings) -> SafetySettings:

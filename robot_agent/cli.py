@@ -65,8 +65,8 @@ def _fault(text: str) -> tuple[str, float]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="robot-agent",
-        description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on the "
-        "two ports after these. Without options: the simulated robot.",
+        description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on "
+        "the two ports after these. Without options: the simulated robot.",
     )
     add = parser.add_argument
     add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
@@ -76,18 +76,18 @@ def _parser() -> argparse.ArgumentParser:
     add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
     add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
     add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
-    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1; 4 reaches 500)")
-    add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address to serve on (default: %(default)s; a robot: 0.0.0.0)")
+    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
+    add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
     add("--port", type=_port, default=31440, metavar="BASE", help="first of the four ports (default: %(default)s)")
-    add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; may be repeated")
+    add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
     add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
+    add("--quiet", action="store_true", help="say only what goes wrong")
+    add("--version", action="version", version=f"robot-agent {__version__}")
     simulation = parser.add_argument_group("simulation")
     simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
     simulation.add_argument("--seed", type=int, default=0, help="of textures, courses, noise (default: %(default)s)")
-    simulation.add_argument("--faults", action="store_true", help="slip 20 %%, 20 %% of frames lost, blur 30 ms, noise 8")
+    simulation.add_argument("--faults", action="store_true", help="slip, lost frames, blur and noise all at once")
     simulation.add_argument("--fault", type=_fault, action="append", default=[], metavar="NAME=VALUE", help="one fault")
-    add("--quiet", action="store_true", help="say only what goes wrong")
-    add("--version", action="version", version=f"robot-agent {__version__}")
     return parser
 
 

@@ -129,8 +129,8 @@ def _tune(peer: socket.socket) -> None:
 class FrameWriter:
     """Writes frames whole or not at all, and never lets a queue grow behind a slow station.
 
-    A new frame is begun only when the kernel has nothing left to send of the frame before, so that at the most one frame
-    waits on this side; what the station does not take in time is replaced by a newer one.
+    A new frame is begun only when the kernel has nothing left to send of the frame before, so that at the most one
+    frame waits on this side; what the station does not take in time is replaced by a newer one.
     """
 
     def __init__(self, port: StationPort, frame_bytes: int, running: Callable[[], bool]) -> None:

@@ -1,7 +1,8 @@
 """The safety supervisor: which wheel speeds are allowed now, and why not the ones asked for.
 
 Pure: it reads no clock, no sensor and no socket; everything comes in as arguments and the decision goes out. The agent
-calls it from a thread of its own, so that a camera or a bus that blocks cannot disable it. On any doubt the wheels stop.
+calls it from a thread of its own, so that a camera or a bus that blocks cannot disable it. On any doubt the wheels
+stop.
 """
 
 from __future__ import annotations

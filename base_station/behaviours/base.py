@@ -13,7 +13,8 @@ class Behaviour(Protocol):
     """Asked once per frame, from one thread."""
 
     def command(self, result: TrackerResult | None, time_s: float) -> Command:
-        """The wheel speeds for this frame. `result` is None before anything was learned; `time_s` is the frame's time."""
+        """The wheel speeds for this frame. `result` is None before anything was learned; `time_s` is the frame's
+        time."""
         ...
 
 

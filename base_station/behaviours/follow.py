@@ -1,7 +1,7 @@
 """Follow: keep the target straight ahead and at the learned distance, by image-based visual servoing.
 
-The features are s = (bearing, log r/r*), with r the range to the target and r* the learned one, as in ViSP's examples for
-mobile robots; the scene's scale need not be known, one nominal distance sets the gain. Each feature has a
+The features are s = (bearing, log r/r*), with r the range to the target and r* the learned one, as in ViSP's examples
+for mobile robots; the scene's scale need not be known, one nominal distance sets the gain. Each feature has a
 proportional and an integral part: against a leader that drives on, a proportional law alone stays behind by a constant.
 """
 
@@ -27,6 +27,9 @@ class FollowSettings:
     """Forward speed, in nominal distances per second, per unit of log range error."""
     forward_integral_per_s: float = 1.0
     """The same for a constant range error."""
+    integrate_within: float = 0.12
+    """Only errors smaller than this (radians, log range) are integrated: on a long approach the integral would wind up
+    and the robot overshoot."""
     nominal_distance_m: float = 0.4
     """Scale of the forward gain; a guess of the learned distance within a factor of two does."""
     forward_limit_m_s: float = 0.16
@@ -40,8 +43,8 @@ class Follow:
 
     def __init__(self, drive: Drive, settings: FollowSettings | None = None) -> None:
         self._drive, self._settings = drive, settings or FollowSettings()
-        self._turn = _Integrator()
-        self._forward = _Integrator()
+        self._turn = _Integrator(self._settings.integrate_within)
+        self._forward = _Integrator(self._settings.integrate_within)
         self._last_s: float | None = None
 
     def command(self, result: TrackerResult | None, time_s: float) -> Command:
@@ -52,7 +55,10 @@ class Follow:
             return STOP
         settings = self._settings
         turn_rad_s = settings.turn_gain_per_s * self._turn.add(
-            result.bearing_rad, settings.turn_integral_per_s, step_s, settings.turn_limit_rad_s / settings.turn_gain_per_s
+            result.bearing_rad,
+            settings.turn_integral_per_s,
+            step_s,
+            settings.turn_limit_rad_s / settings.turn_gain_per_s,
         )
         forward_m_s = 0.0
         if result.zoom is not None:
@@ -74,14 +80,15 @@ def log_range_error(zoom: float, bearing_rad: float) -> float:
     return -math.log(zoom * math.cos(bearing_rad))
 
 
-@dataclass
 class _Integrator:
-    """Proportional plus integral, the sum bounded; what exceeds the bound is not integrated (no wind-up)."""
+    """Proportional plus integral with a bounded sum. Large errors, and what exceeds the bound, are not integrated."""
 
-    integral: float = 0.0
+    def __init__(self, within: float) -> None:
+        self._within = within
+        self._integral = 0.0
 
     def add(self, error: float, rate_per_s: float, step_s: float, bound: float) -> float:
-        grown = self.integral + rate_per_s * error * step_s
-        if abs(error + grown) < bound or abs(grown) < abs(self.integral):
-            self.integral = max(-bound, min(bound, grown))
-        return max(-bound, min(bound, error + self.integral))
+        grown = self._integral + rate_per_s * error * step_s
+        if abs(error) < self._within and (abs(error + grown) < bound or abs(grown) < abs(self._integral)):
+            self._integral = grown
+        return max(-bound, min(bound, error + self._integral))

@@ -5,12 +5,7 @@ from __future__ import annotations
 from base_station.types import TrackerResult
 from protocol import STOP, Command
 
-CYCLE = (
-    (Command(100, 100),) * 15
-    + (Command(-68, 100),) * 5
-    + (Command(100, -68),) * 5
-    + (Command(-100, -100),) * 15
-)
+CYCLE = (Command(100, 100),) * 15 + (Command(-68, 100),) * 5 + (Command(100, -68),) * 5 + (Command(-100, -100),) * 15
 """Listing A.2, one command per frame, 40 a cycle; its 2*16-100 is -68 (-100 was probably meant)."""
 
 

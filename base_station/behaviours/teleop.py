@@ -1,7 +1,7 @@
 """Teleop: drive with the keys of the terminal.
 
-A terminal tells of keys only by repeating them, and begins to repeat late; so a key counts as held for a short while after
-each repeat, and for longer after the first. Then the robot stands.
+A terminal tells of keys only by repeating them, and begins to repeat late; so a key counts as held for a short while
+after each repeat, and for longer after the first. Then the robot stands.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Tracked boxes against true ones, as the OTB benchmark scores them (Wu, Lim and Yang, CVPR 2013).
 
-Success is the share of frames whose overlap exceeds a threshold, averaged over thresholds 0 to 1 (the area under its curve);
-precision the share whose centre is within 20 px. A frame without a box overlaps by nothing.
+Success is the share of frames whose overlap exceeds a threshold, averaged over thresholds 0 to 1 (the area under its
+curve); precision the share whose centre is within 20 px. A frame without a box overlaps by nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class OverlapScore:
 
 
 def score_boxes(found: np.ndarray, truth: np.ndarray) -> OverlapScore:
-    """`found`, `truth`: shape (n, 4), x, y, width, height; a row of NaN is no box. Raises ValueError on other shapes."""
+    """`found`, `truth`: shape (n, 4), x, y, width, height; a row of NaN is no box. Raises ValueError on other
+    shapes."""
     if found.shape != truth.shape or found.ndim != 2 or found.shape[1] != 4 or len(found) == 0:
         raise ValueError(f"boxes of shape {found.shape} against {truth.shape}: both must be (n, 4) with n > 0")
     iou = np.nan_to_num(_iou(found, truth))

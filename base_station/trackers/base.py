@@ -11,8 +11,8 @@ from base_station.types import Box, Frame, TrackerResult
 class Tracker(Protocol):
     """Remembers a target (or a view) and says in later frames where it is and how large.
 
-    A tracker is used from one thread. It keeps no clock of its own: time is `frame.time_s`. It may keep a frame's image,
-    and must not write to it. With the same frames it gives the same results.
+    A tracker is used from one thread. It keeps no clock of its own: time is `frame.time_s`. It may keep a frame's
+    image, and must not write to it. With the same frames it gives the same results.
     """
 
     def learn(self, frame: Frame, target: Box | None) -> None:

@@ -83,7 +83,7 @@ class PiCamera:
 
 def _open() -> Any:
     try:
-        from picamera2 import Picamera2  # type: ignore[import-not-found]
+        from picamera2 import Picamera2
     except ImportError as error:
         raise CameraError(
             "The Pi camera needs picamera2: sudo apt install python3-picamera2 (Raspberry Pi OS only)."
@@ -91,4 +91,6 @@ def _open() -> Any:
     try:
         return Picamera2()
     except (IndexError, RuntimeError) as error:
-        raise CameraError(f"No Pi camera answers ({error}): check its cable; `rpicam-hello` must show a picture.") from error
+        raise CameraError(
+            f"No Pi camera answers ({error}): check its cable; `rpicam-hello` must show a picture."
+        ) from error

@@ -36,7 +36,7 @@ def list_images(folder: Path) -> list[RecordedImage]:
             if path.suffix.lower() in SUFFIXES
         ]
     if not images:
-        raise CameraError(f"There are no pictures in {folder}: it must hold jpg or png files, or a TUM or EuRoC layout.")
+        raise CameraError(f"No pictures in {folder}: it must hold jpg or png files, or a TUM or EuRoC layout.")
     return images
 
 
@@ -50,7 +50,7 @@ def _tum(folder: Path) -> list[RecordedImage]:
     for number, line in enumerate(_lines(folder / "rgb.txt"), 1):
         words = line.split()
         if len(words) < 2:
-            raise CameraError(f"{folder / 'rgb.txt'}, entry {number}: a time and a file are expected, not {line[:60]!r}.")
+            raise CameraError(f"{folder}/rgb.txt, entry {number}: a time and a file are expected, not {line[:60]!r}.")
         images.append(RecordedImage(folder / words[1], _number(words[0], folder / "rgb.txt", number)))
     return images
 

@@ -81,7 +81,7 @@ class UsbCamera:
             self._news.wait_for(lambda: self._newest is not None or self._failed, timeout_s)
             frame, self._newest = self._newest, None
             if frame is None and self._failed:
-                raise CameraError("The USB camera stopped giving pictures: check its cable, then start the agent again.")
+                raise CameraError("The USB camera stopped giving pictures: check its cable and start the agent again.")
             return frame
 
     def close(self) -> None:

@@ -19,7 +19,8 @@ class RobotState:
 
 
 class Robot(Protocol):
-    """Two driven wheels and proximity sensors. Any thread may call; no call blocks for longer than some milliseconds."""
+    """Two driven wheels and proximity sensors. Any thread may call; no call blocks for longer than some
+    milliseconds."""
 
     kind: str
     limits: RobotLimits
@@ -34,4 +35,3 @@ class Robot(Protocol):
     def close(self) -> None:
         """Stop the wheels and let go of the robot."""
         ...
-

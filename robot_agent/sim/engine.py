@@ -7,6 +7,7 @@ lock, because it works on the scene that `aim` copied; both belong to the thread
 from __future__ import annotations
 
 import importlib
+import logging
 import math
 import os
 from types import ModuleType
@@ -34,6 +35,7 @@ _CV_FROM_MUJOCO = np.diag((1.0, -1.0, -1.0))
 def load_mujoco() -> ModuleType:
     """MuJoCo, set to draw without a display. Raises AgentError when it is missing or has no EGL to draw with."""
     os.environ.setdefault("MUJOCO_GL", "egl")
+    logging.getLogger("OpenGL").setLevel(logging.WARNING)  # it tells of accelerators that nobody misses
     try:
         return importlib.import_module("mujoco")
     except ModuleNotFoundError as error:
