@@ -71,8 +71,8 @@ class Run:
     """Write the run's summary to this JSON file."""
     picture: Path | None = None
     """Write a picture of the run (last view, path, errors) to this PNG file."""
-    quiet: bool = False
-    """No status line and no table."""
+    status: bool = True
+    """Show the live status line."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -193,7 +193,7 @@ def _run(run: Run, console: Console) -> int:
             )
         )
         keys = stack.enter_context(pressed_keys())
-        line = None if run.quiet else stack.enter_context(_status_line(run, console, link, keys is not None))
+        line = None if not run.status else stack.enter_context(_status_line(run, console, link, keys is not None))
         observers: list[Callable[[Step], None]] = [log.note_step]
         observers += [results.write] if results is not None else []
         observers += [picture.note_step] if picture is not None else []
@@ -283,8 +283,7 @@ def _conclude(run: Run, console: Console, link: Link, log: LoopLog, picture: Run
         _write(run.summary, (json.dumps(summary.as_dict(), indent=2) + "\n").encode())
     if run.picture is not None and picture is not None:
         _write(run.picture, picture.png(log.truths(), summary))
-    if not run.quiet:
-        console.print(summary_table(summary))
+    console.print(summary_table(summary))
     if summary.frames == 0:
         raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
     return EXIT_DONE

@@ -6,6 +6,7 @@ import array
 import contextlib
 import fcntl
 import logging
+import random
 import select
 import socket
 import threading
@@ -204,3 +205,17 @@ class CommandReader:
         except TruncatedError as error:
             why = str(error)
         self._port.drop(peer, why)
+
+
+def free_ports(count: int = 4, host: str = "127.0.0.1") -> int:
+    """The first of `count` ports in a row that nobody listens on just now. Raises AgentError when there are none."""
+    for base in random.sample(range(20000, 32000, count), 200):
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+            for port in range(base, base + count):
+                stack.enter_context(socket.create_server((host, port)))
+            return base
+    raise AgentError(f"There are no {count} free ports in a row on {host}.")
+
+
+if __name__ == "__main__":
+    print(free_ports())
