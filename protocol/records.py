@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import reprlib
 import types
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -109,4 +110,5 @@ def _convert_scalar(kind: Any, value: Any, path: str) -> Any:
         number = float(value)
         if math.isfinite(number):
             return number
-    raise ProtocolError(f"{path}: {str(value)[:40]!r} is not a valid {getattr(kind, '__name__', kind)}")
+    shown = reprlib.repr(value)  # bounded in depth: str() of a thousand nested lists would exhaust the stack
+    raise ProtocolError(f"{path}: {shown[:40]} is not a valid {getattr(kind, '__name__', kind)}")
