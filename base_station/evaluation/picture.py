@@ -138,10 +138,10 @@ def _draw_curves(panel: np.ndarray, title: str, curves: list[Curve]) -> None:
         y = bottom - (np.clip(values[:, 1], low, high) - low) / (high - low) * (bottom - top)
         return np.round(np.stack([x, y], 1)).astype(np.int32)
 
-    for fraction in (0.0, 0.25, 0.5, 0.75, 1.0):
-        y = round(bottom - fraction * (bottom - top))
+    for value in _ticks(low, high):
+        y = round(bottom - (value - low) / (high - low) * (bottom - top))
         cv2.line(panel, (left, y), (right, y), FAINT, 1)
-        _text(panel, f"{low + fraction * (high - low):.3g}", (4, y + 4), scale=0.4)
+        _text(panel, f"{value:g}", (4, y + 4), scale=0.4)
     for number, (name, color, curve) in enumerate(curves):
         if curve:
             cv2.polylines(panel, [to_px(curve)], False, color, 1, cv2.LINE_AA)
@@ -152,8 +152,16 @@ def _draw_curves(panel: np.ndarray, title: str, curves: list[Curve]) -> None:
 
 def _span(values: np.ndarray) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
-    room = max((high - low) * 0.08, 0.05)
+    room = max((high - low) * 0.08, 0.5)
     return low - room, high + room
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Four to nine round numbers in the span."""
+    step = 10.0 ** math.floor(math.log10((high - low) / 4))
+    step *= next(factor for factor in (1, 2, 5) if (high - low) / (step * factor) < 10)
+    first = math.ceil(low / step)
+    return [round(number * step, 10) for number in range(first, math.floor(high / step) + 1)]
 
 
 def _text(
