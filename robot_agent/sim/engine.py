@@ -23,8 +23,8 @@ from robot_agent.sim.poses import Pose
 from robot_agent.sim.projection import PictureView
 
 _NO_EGL = (
-    "MuJoCo cannot draw: EGL is not usable here; install the Debian packages libegl1 and libgl1-mesa-dri"
-    " (apt-get install libegl1 libgl1-mesa-dri), and leave MUJOCO_GL unset or egl."
+    "MuJoCo cannot draw: EGL is not usable here; install its Debian packages"
+    " (apt-get install libegl1 libgl1 libgl1-mesa-dri), and leave MUJOCO_GL unset or egl."
 )
 _SETTLE_STEPS = 400
 _RAY_RUN_UP_M = 0.01
@@ -40,7 +40,7 @@ def load_mujoco() -> ModuleType:
         return importlib.import_module("mujoco")
     except ModuleNotFoundError as error:
         raise AgentError("The simulator needs MuJoCo: install the extra with pip install 'zservo[sim]'.") from error
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # PyOpenGL without libEGL raises many things
+    except Exception as error:  # PyOpenGL without its libraries raises many unrelated things
         raise AgentError(_NO_EGL) from error
 
 

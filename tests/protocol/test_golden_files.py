@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import pytest
@@ -20,15 +21,36 @@ from golden_messages import (
 )
 
 from protocol import (
+    COMMAND_PORT,
+    CONTROL_PORT,
+    FRAME_PORT,
+    PROTOCOL_VERSION,
     STOP,
+    TELEMETRY_PORT,
     Command,
     CommandDecoder,
     FrameDecoder,
     FrameFormat,
+    FrameStamp,
+    Hello,
+    Intrinsics,
+    Reply,
+    Request,
+    RobotLimits,
+    Scenario,
+    ScenarioEvent,
+    Telemetry,
+    Truth,
     decode_reply,
     decode_request,
     decode_telemetry,
 )
+from protocol.frames import MAX_SIDE_PX
+from protocol.messages import ACTIONS
+from protocol.records import MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_TEXT
+
+MESSAGES = (Telemetry, FrameStamp, Truth, Request, Reply, Hello, Intrinsics, RobotLimits, Scenario, ScenarioEvent)
+PORTS = (FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT)
 
 
 def golden(name: str) -> bytes:
@@ -89,3 +111,57 @@ def test_the_hexdump_itself_is_right():
     first, last = hexdump(bytes(range(48, 66))).splitlines()[:2]
     assert first == "00000000  30 31 32 33 34 35 36 37  38 39 3a 3b 3c 3d 3e 3f  |0123456789:;<=>?|"
     assert re.fullmatch(r"00000010  40 41 {45}\|@A\|", last)
+
+
+def tables_in(text: str) -> dict[str, list[list[str]]]:
+    """The rows of the field tables, by the heading above them."""
+    tables: dict[str, list[list[str]]] = {}
+    heading = ""
+    for line in text.splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("# ")
+        elif line.startswith("| `"):
+            tables.setdefault(heading, []).append([cell.strip() for cell in line.strip("|").split("|")])
+    return tables
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+def test_the_specification_lists_every_field_with_its_default(kind):
+    rows = tables_in(README.read_text(encoding="utf-8"))[kind.__name__]
+    assert [row[0] for row in rows] == [f"`{field.name}`" for field in dataclasses.fields(kind)]
+    for field, (_, _, default, meaning) in zip(dataclasses.fields(kind), rows, strict=True):
+        assert default == shown_default(field), field.name
+        assert len(meaning) > 5, field.name
+
+
+def shown_default(field: dataclasses.Field) -> str:
+    if field.default is dataclasses.MISSING:
+        return "required"
+    if dataclasses.is_dataclass(field.default):
+        return "all defaults"
+    if field.default is None:
+        return "nil"
+    if field.default is False:
+        return "false"
+    return f'"{field.default}"' if isinstance(field.default, str) else str(field.default)
+
+
+def test_the_specification_names_ports_actions_bounds_and_the_version():
+    text = README.read_text(encoding="utf-8")
+    for value in (*PORTS, MAX_MESSAGE_BYTES, MAX_TEXT, MAX_ITEMS, MAX_SIDE_PX):
+        assert str(value) in text
+    assert f"now {PROTOCOL_VERSION})" in text
+    actions = next(row for row in tables_in(text)["Request"] if row[0] == "`action`")
+    assert re.findall(r'"(\w+)"', actions[3]) == list(ACTIONS)
+
+
+def test_the_specification_s_table_of_the_drive_is_the_golden_file():
+    drive = golden("commands_listing_a2.bin")
+    rows = re.findall(
+        r"^\| (\d+)\.\.(\d+) \| (-?\d+), (-?\d+) \| `(..) (..)` ", README.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(rows) == 4
+    told = b"".join(bytes.fromhex(row[4] + row[5]) * (int(row[1]) - int(row[0]) + 1) for row in rows)
+    assert told == drive
+    for _, _, left, right, *pair in rows:
+        assert bytes(Command(int(left), int(right))) == bytes.fromhex("".join(pair))
