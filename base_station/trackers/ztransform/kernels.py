@@ -174,6 +174,15 @@ def read_signature(patch, bands, pole_re, pole_im, weights, anchors, taper, sign
 
 
 @njit(cache=True, fastmath=True)
+def inner(one, other):
+    """Inner product; written out, because numba's own needs SciPy. With fastmath it is as fast as BLAS at this size."""
+    total = np.float32(0.0)
+    for i in range(one.size):
+        total += one[i] * other[i]
+    return total
+
+
+@njit(cache=True, fastmath=True)
 def seen_correlation(patch, seen, reference, bands, pole_re, pole_im, weights, anchors, taper):
     """Normalised correlation of two signatures in which only the cells seen count (the others at the mean)."""
     cells = patch.shape[0]
@@ -196,7 +205,7 @@ def seen_correlation(patch, seen, reference, bands, pole_re, pole_im, weights, a
     one, other = np.empty(size, np.float32), np.empty(size, np.float32)
     read_signature(flat_p, bands, pole_re, pole_im, weights, anchors, taper, one)
     read_signature(flat_r, bands, pole_re, pole_im, weights, anchors, taper, other)
-    return np.dot(one, other)
+    return inner(one, other)
 
 
 @njit(cache=True)

@@ -14,6 +14,7 @@ from base_station.trackers.ztransform.kernels import (
     X,
     Y,
     fill_unseen,
+    inner,
     match_light,
     move,
     read_signature,
@@ -55,13 +56,13 @@ def refine(
             fill_unseen(patch, seen, learned_patch, gain, offset)
         contrast = read_signature(patch, bands, pole_re, pole_im, weights, anchors, taper, signature)
         if share >= 1.0:
-            confidence = np.dot(signature, learned)
+            confidence = inner(signature, learned)
         if turn == len(levels):
             break
         for i in range(len(signature)):
             signature[i] -= learned[i]
         for row in range(5):
-            step[row] = np.dot(maps[levels[turn], row], signature) * abs(gains[row])
+            step[row] = inner(maps[levels[turn], row], signature) * abs(gains[row])
         if share < 1.0:  # what is filled in says "no change", so the rest has to say more
             step[X] /= share
             step[Y] /= share
