@@ -7,10 +7,12 @@ stop.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 FRONT, REAR = slice(0, 5), slice(5, 7)
+SENSORS = 7
 
 
 class SafetyState(Enum):
@@ -91,14 +93,16 @@ class SafetySupervisor:
 
         The same arguments give the same decision, however often it is asked.
         """
-        reason = self._why_stop(now_s, command, link)
+        reason = self._why_stop(now_s, command, proximity, link)
         if reason or command is None:
             return Decision(0, 0, SafetyState.STOPPED, reason)
-        if proximity is not None and len(proximity) >= REAR.stop:
+        if proximity is not None:
             return self._around_obstacles(command, proximity)
         return self._clamped(command.left, command.right, SafetyState.OK, "")
 
-    def _why_stop(self, now_s: float, command: WheelCommand | None, link: LinkState) -> str:
+    def _why_stop(
+        self, now_s: float, command: WheelCommand | None, proximity: tuple[int, ...] | None, link: LinkState
+    ) -> str:
         if self._emergency is not None:
             return self._emergency
         if link.problem:
@@ -108,13 +112,17 @@ class SafetySupervisor:
         if link.last_frame_s is None:
             return "the camera has not given a picture yet"
         camera_silent_s = now_s - link.last_frame_s
-        if camera_silent_s > self.settings.frame_timeout_s:
+        if not camera_silent_s <= self.settings.frame_timeout_s:  # so that no number at all stops too
             return f"the camera hangs: no picture for {camera_silent_s * 1000:.0f} ms"
         if command is None:
             return "no command yet"
         silent_s = now_s - command.received_s
-        if silent_s > self.settings.command_timeout_s:
+        if not silent_s <= self.settings.command_timeout_s:
             return f"no command for {silent_s * 1000:.0f} ms"
+        if not (math.isfinite(command.left) and math.isfinite(command.right)):
+            return f"the command {command.left}, {command.right} is no speed"
+        if proximity is not None and len(proximity) != SENSORS:
+            return f"the proximity sensors gave {len(proximity)} readings instead of {SENSORS}"
         return ""
 
     def _around_obstacles(self, command: WheelCommand, proximity: tuple[int, ...]) -> Decision:
