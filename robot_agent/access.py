@@ -8,7 +8,7 @@ import threading
 
 import zmq
 
-from robot_agent.errors import AgentError
+from robot_agent.errors import UsageError
 
 log = logging.getLogger(__name__)
 
@@ -16,13 +16,13 @@ ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 
 
 class AllowList:
-    """Networks from which stations may connect. Empty: from anywhere. Raises AgentError on what is no network."""
+    """Networks from which stations may connect. Empty: from anywhere. Raises UsageError on what is no network."""
 
     def __init__(self, networks: tuple[str, ...] = ()) -> None:
         try:
             self._networks = [ipaddress.ip_network(text, strict=False) for text in networks]
         except ValueError as error:
-            raise AgentError(f"--allow: {error}. Give an address or a network such as 192.168.0.0/24.") from error
+            raise UsageError(f"--allow: {error}. Give an address or a network such as 192.168.0.0/24.") from error
 
     def permits(self, address: str) -> bool:
         """Whether this IP address may connect."""

@@ -22,6 +22,7 @@ from protocol import (
     FrameStamp,
     Hello,
     Intrinsics,
+    ProtocolError,
     Reply,
     Request,
     Scenario,
@@ -31,7 +32,7 @@ from protocol import (
 from robot_agent import __version__
 from robot_agent.access import AllowList
 from robot_agent.cameras.base import Camera, CameraFrame
-from robot_agent.errors import AgentError, CameraError, EndOfRecording
+from robot_agent.errors import AgentError, CameraError, EndOfRecording, UsageError
 from robot_agent.outlet import Outlet
 from robot_agent.ports import CommandReader, FrameWriter, StationPort
 from robot_agent.robots.base import Robot
@@ -417,8 +418,11 @@ class Agent:
 def _frame_format(camera: Camera, rows: tuple[int, int] | None) -> FrameFormat:
     first, past_last = rows or (0, camera.height)
     if not 0 <= first < past_last <= camera.height:
-        raise AgentError(f"--rows {first}:{past_last}: the picture has rows 0:{camera.height}.")
-    return FrameFormat(width=camera.width, height=past_last - first, first_row=first, full_height=camera.height)
+        raise UsageError(f"--rows {first}:{past_last}: the picture has rows 0:{camera.height}.")
+    try:
+        return FrameFormat(width=camera.width, height=past_last - first, first_row=first, full_height=camera.height)
+    except ProtocolError as error:
+        raise UsageError(f"These pictures cannot be sent ({error}): give another size with --size.") from error
 
 
 def _safety_for(camera: Camera, robot: Robot, settings: SafetySettings) -> SafetySettings:

@@ -12,7 +12,7 @@ from types import FrameType
 
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
-from robot_agent.errors import AgentError
+from robot_agent.errors import AgentError, UsageError
 from robot_agent.rig import CAMERAS, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS
 from robot_agent.sim.faults import Faults
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _serve(options, faults)
     except AgentError as error:
         print(f"robot-agent: {error}", file=sys.stderr)
-        return EXIT_FAILED
+        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
     return EXIT_DONE
 
 

@@ -5,6 +5,10 @@ class AgentError(Exception):
     """Something the person at the keyboard can mend. The text is one sentence: what happened, then what to do."""
 
 
+class UsageError(AgentError):
+    """A mistake on the command line (exit code 2): starting the same again cannot help."""
+
+
 class CameraError(AgentError):
     """The camera is not there, or it broke."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol import Scenario
 from robot_agent.cameras.base import Camera
-from robot_agent.errors import AgentError
+from robot_agent.errors import UsageError
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
 from robot_agent.sim.faults import Faults
@@ -50,7 +50,7 @@ def build_rig(options: RigOptions) -> Rig:
     """Open camera and robot. Raises AgentError, in words, when one is not to be had or they do not go together."""
     if "sim" in (options.robot, options.camera):
         if options.robot != "sim" or options.camera != "sim":
-            raise AgentError(
+            raise UsageError(
                 "The simulated camera and the simulated robot are one world: use --robot sim with --camera sim, "
                 f"not --robot {options.robot} with --camera {options.camera}."
             )
@@ -72,7 +72,7 @@ def _open_camera(options: RigOptions) -> Camera:
     from robot_agent.cameras.replay import ReplayCamera
 
     if options.source is None:
-        raise AgentError("--camera replay needs a recording: name a video file or a folder with --source.")
+        raise UsageError("--camera replay needs a recording: name a video file or a folder with --source.")
     return ReplayCamera(options.source, size=options.size, fps=options.fps, realtime=not options.lockstep)
 
 

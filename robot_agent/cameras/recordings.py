@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +73,9 @@ def _lines(path: Path) -> list[str]:
 
 def _number(word: str, path: Path, entry: int) -> float:
     try:
-        return float(word)
-    except ValueError as error:
-        raise CameraError(f"{path}, entry {entry}: {word[:40]!r} is not a time.") from error
+        number = float(word)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise CameraError(f"{path}, entry {entry}: {word[:40]!r} is not a time.")
+    return number
