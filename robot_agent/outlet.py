@@ -75,13 +75,15 @@ class Outlet:
     def _serve(self) -> None:
         while not self._closing.is_set():
             if self._control.poll(int(HEARTBEAT_S * 1000)):
-                self._control.send(encode(self._reply(self._control.recv())))
+                self._control.send(encode(self._reply(self._control.recv_multipart())))
             else:
                 self.publish()
 
-    def _reply(self, data: bytes) -> Reply:
+    def _reply(self, parts: list[bytes]) -> Reply:
         try:
-            return self._answer(decode_request(data))
+            if len(parts) != 1:
+                raise ProtocolError(f"a request is one message part, {len(parts)} came")
+            return self._answer(decode_request(parts[0]))
         except ProtocolError as error:
             log.warning("control port: %s", error)
             return Reply(ok=False, error=str(error))
