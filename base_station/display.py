@@ -68,12 +68,12 @@ class StatusLine:
         line = Text(f"{self._names}  ", style="cyan")
         if self._result is None:
             line.append(self._link.state, style="yellow")
-            return line
-        line.append(f"{self._result.state.value} ", style=STYLES[self._result.state])
-        line.append(describe(self._result), style="default")
-        line.append(f"  {self._rate_hz():.1f} Hz", style="default")
+        else:
+            line.append(f"{self._result.state.value} ", style=STYLES[self._result.state])
+            line.append(describe(self._result), style="default")
+            line.append(f"  {self._rate_hz():.1f} Hz", style="default")
         telemetry = self._link.telemetry
-        if telemetry is not None and telemetry.reason:
+        if self._link.connected and telemetry is not None and telemetry.reason:
             line.append(f"  wheels {telemetry.safety}: {telemetry.reason}", style="bold magenta")
         line.append(f"  {self._hint}", style="dim")
         return line

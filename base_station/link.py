@@ -123,6 +123,11 @@ class Link:
         return self._control.ask(request)
 
     @property
+    def connected(self) -> bool:
+        """Whether frames can come and commands go now."""
+        return self._raw is not None
+
+    @property
     def uses_capture_times(self) -> bool:
         """Whether frames carry the time they were taken; else the time they arrived."""
         return self._clock.uses_capture_times
