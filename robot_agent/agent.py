@@ -41,6 +41,7 @@ from robot_agent.safety import Decision, LinkState, SafetySettings, SafetyState,
 log = logging.getLogger(__name__)
 
 SAFETY_PERIOD_S = 0.01
+PEER_CHECK_S = 0.2
 WAIT_S = 0.1
 """How long a thread waits before it looks whether the agent is to end."""
 
@@ -140,8 +141,9 @@ class Agent:
         for thread in threads:
             thread.start()
         try:
-            while not self._stopping.wait(1.0):
-                pass
+            while not self._stopping.wait(PEER_CHECK_S):
+                for port in self._ports:
+                    port.drop_if_gone()
         finally:
             self._shut_down(threads)
         if self._failure is not None:

@@ -71,6 +71,20 @@ class StationPort:
         peer.close()
         self._on_change()
 
+    def drop_if_gone(self) -> None:
+        """Let the peer go when it has closed its end. To be asked now and then: while nothing is read from a peer nor
+        written to it (lockstep with half a station, a camera that hangs), nothing else notices that it went."""
+        peer = self._peer
+        if peer is None:
+            return
+        watch = select.poll()
+        try:
+            watch.register(peer, select.POLLRDHUP)
+        except ValueError:
+            return  # closed by another thread just now
+        if watch.poll(0):
+            self.drop(peer, "it closed the connection")
+
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
@@ -142,8 +156,8 @@ class FrameWriter:
         unsent = array.array("i", [0])
         try:
             fcntl.ioctl(peer.fileno(), SIOCOUTQNSD, unsent)
-        except OSError:
-            return True  # the write that follows tells what is wrong
+        except (OSError, ValueError):
+            return True  # closed meanwhile; the write that follows tells
         return unsent[0] == 0
 
     def prepare(self, peer: socket.socket) -> None:
@@ -157,10 +171,11 @@ class FrameWriter:
             try:
                 frame = frame[peer.send(frame) :]
             except BlockingIOError:
-                if not self._running():
+                if not self._running() or self._port.peer is not peer:
                     return False
-                select.select([], [peer], [], 0.1)
-            except (OSError, ValueError) as error:
+                with contextlib.suppress(OSError, ValueError):  # closed meanwhile; the next write tells
+                    select.select([], [peer], [], 0.1)
+            except OSError as error:
                 self._port.drop(peer, str(error))
                 return False
         return True
