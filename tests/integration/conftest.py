@@ -1,0 +1,50 @@
+"""Programs and ports for one test; whatever a test leaves running is killed here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import Operator, Programs, TelemetryLog, free_ports, write_pictures
+
+
+@pytest.fixture
+def port() -> int:
+    """The first of four free ports."""
+    return free_ports()
+
+
+@pytest.fixture
+def programs() -> Iterator[Programs]:
+    started = Programs()
+    yield started
+    started.close()
+
+
+@pytest.fixture
+def listen(port: int) -> Iterator[Callable[[], TelemetryLog]]:
+    """Begins to listen to the agent's telemetry."""
+    logs: list[TelemetryLog] = []
+
+    def begin() -> TelemetryLog:
+        logs.append(TelemetryLog(port))
+        return logs[-1]
+
+    yield begin
+    for log in logs:
+        log.close()
+
+
+@pytest.fixture
+def operator(port: int) -> Iterator[Operator]:
+    client = Operator(port)
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="session")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 600 numbered pictures, 160x120: 20 s at 30 per second."""
+    return write_pictures(tmp_path_factory.mktemp("pictures"), 600)
