@@ -100,7 +100,15 @@ class TrackerResult:
     """4x4, for trackers that know a pose."""
 
     def __post_init__(self) -> None:
-        measured = (self.shift_px, self.shift_y_px, self.bearing_rad, self.elevation_rad, self.zoom, self.box)
+        measured = (
+            self.shift_px,
+            self.shift_y_px,
+            self.bearing_rad,
+            self.elevation_rad,
+            self.zoom,
+            self.box,
+            self.cam_from_world,
+        )
         if self.state is not TrackingState.TRACKING and any(value is not None for value in measured):
             raise ValueError(f"a result in state {self.state.value} carries a measurement")
         if self.state is not TrackingState.TRACKING and not self.reason:
