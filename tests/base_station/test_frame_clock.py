@@ -1,0 +1,111 @@
+"""When a frame was taken: capture times brought to the station's clock, arrival times without telemetry."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import threading
+import time
+
+import pytest
+
+from base_station.frame_clock import KEPT, OFFSET_WINDOW, FrameClock
+
+
+def key(number: int) -> tuple[str, int]:
+    return ("127.0.0.1:5000", number)
+
+
+def test_without_telemetry_a_frame_was_taken_when_it_arrived():
+    clock = FrameClock()
+    assert clock.time_s(key(1), 7.25) == 7.25
+    assert not clock.uses_capture_times
+
+
+def test_the_smallest_delay_sets_the_offset_so_jitter_on_the_way_does_not_reach_the_times():
+    """Frames taken every 1/30 s on a clock 1000 s behind, 5 ms on the way and up to 40 ms more by chance."""
+    rng = random.Random(1)
+    clock, times_s = FrameClock(), []
+    for number in range(1, 200):
+        capture_s = number / 30
+        arrival_s = 1000.0 + capture_s + 0.005 + (0.0 if number == 5 else rng.uniform(0.001, 0.040))
+        clock.note(key(number), capture_s)
+        times_s.append(clock.time_s(key(number), arrival_s))
+        assert clock.uses_capture_times
+    steps_s = [after - before for before, after in itertools.pairwise(times_s[5:])]
+    assert min(steps_s) == pytest.approx(1 / 30, abs=1e-9)
+    assert max(steps_s) == pytest.approx(1 / 30, abs=1e-9)
+    assert times_s[-1] == pytest.approx(1000.005 + 199 / 30, abs=1e-9)
+
+
+def test_clocks_that_drift_apart_are_followed_within_the_window():
+    """The agent's clock loses 1 ms a second: after a minute the times are still those of this clock."""
+    clock, time_s = FrameClock(), 0.0
+    frames = 6 * OFFSET_WINDOW
+    for number in range(1, frames + 1):
+        taken_s = number / 30
+        clock.note(key(number), taken_s * 0.999)
+        time_s = clock.time_s(key(number), taken_s + 0.004)
+    assert time_s == pytest.approx(frames / 30 + 0.004, abs=OFFSET_WINDOW / 30 * 0.001 + 1e-6)
+    assert time_s <= frames / 30 + 0.004
+
+
+def test_time_never_runs_backwards():
+    clock = FrameClock()
+    clock.note(key(1), 5.0)
+    clock.note(key(2), 5.1)
+    assert clock.time_s(key(1), 105.5) == 105.5
+    second_s = clock.time_s(key(2), 105.11)  # this one came faster, so the first one's time was 0.49 s late
+    assert second_s == 105.5
+    assert clock.time_s(key(3), 50.0) == 105.5
+
+
+def test_a_frame_whose_telemetry_was_lost_gets_its_arrival_time_and_the_next_one_its_capture_time():
+    clock = FrameClock()
+    clock.note(key(1), 1.0)
+    clock.note(key(3), 1.2)
+    assert clock.time_s(key(1), 101.0) == 101.0
+    assert clock.time_s(key(2), 101.15) == 101.15
+    assert not clock.uses_capture_times
+    assert clock.time_s(key(3), 101.25) == pytest.approx(101.2)
+    assert clock.uses_capture_times
+
+
+def test_the_same_number_of_another_connection_is_another_frame():
+    clock = FrameClock()
+    clock.note(("127.0.0.1:5001", 1), 1.0)
+    assert clock.time_s(("127.0.0.1:5000", 1), 50.0) == 50.0
+    assert not clock.uses_capture_times
+
+
+def test_in_lockstep_the_agents_own_times_count():
+    clock = FrameClock(stepped=True)
+    clock.note(key(1), 0.1)
+    clock.note(key(2), 0.1333)
+    assert clock.time_s(key(1), 5000.0) == 0.1
+    assert clock.time_s(key(2), 5009.0) == 0.1333
+
+
+def test_in_lockstep_a_frame_waits_for_its_telemetry():
+    clock = FrameClock(stepped=True, wait_s=5.0)
+    threading.Timer(0.05, clock.note, (key(1), 0.1)).start()
+    begun_s = time.monotonic()
+    assert clock.time_s(key(1), 5000.0) == 0.1
+    assert 0.03 < time.monotonic() - begun_s < 2.0
+
+
+def test_the_wait_has_an_end():
+    clock = FrameClock(stepped=True, wait_s=0.05)
+    begun_s = time.monotonic()
+    assert clock.time_s(key(1), 5000.0) == 5000.0
+    assert 0.045 < time.monotonic() - begun_s < 2.0
+
+
+def test_captures_that_no_frame_asks_for_are_forgotten_oldest_first():
+    clock = FrameClock(stepped=True)
+    for number in range(KEPT + 1):
+        clock.note(key(number), float(number))
+    assert clock.time_s(key(1), 0.5) == 1.0
+    assert clock.uses_capture_times
+    assert clock.time_s(key(0), 9.0) == 9.0
+    assert not clock.uses_capture_times
