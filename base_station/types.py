@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -75,7 +76,8 @@ class TrackerResult:
     """What a tracker says about one frame. Measurements are there in state TRACKING only: never a stale value.
 
     What a tracker cannot tell is None, also when TRACKING.
-    Raises ValueError when a state other than TRACKING carries a measurement.
+    Raises ValueError when a state other than TRACKING carries a measurement, or one is not finite: the robot would
+    turn at full speed towards it.
     """
 
     state: TrackingState
@@ -113,3 +115,9 @@ class TrackerResult:
             raise ValueError(f"a result in state {self.state.value} carries a measurement")
         if self.state is not TrackingState.TRACKING and not self.reason:
             raise ValueError(f"a result in state {self.state.value} must give its reason")
+        for name in ("shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"a result's {name} is {value}")
+        if self.zoom is not None and self.zoom <= 0:
+            raise ValueError(f"a result's zoom is {self.zoom}, it must be positive")
