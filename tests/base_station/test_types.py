@@ -68,6 +68,19 @@ def test_while_tracking_each_measurement_may_be_there_alone(name):
     assert getattr(result, name) is MEASUREMENTS[name]
 
 
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom"])
+def test_a_measurement_that_is_no_number_is_refused_because_a_robot_would_drive_by_it(name, bad):
+    with pytest.raises(ValueError, match=f"{name} is"):
+        TrackerResult(state=TrackingState.TRACKING, **{name: bad})
+
+
+@pytest.mark.parametrize("zoom", [0.0, -1.0])
+def test_zoom_is_positive(zoom):
+    with pytest.raises(ValueError, match="must be positive"):
+        TrackerResult(state=TrackingState.TRACKING, zoom=zoom)
+
+
 @pytest.mark.parametrize("state", [TrackingState.LOST, TrackingState.INITIALIZING])
 def test_not_tracking_needs_a_reason(state):
     with pytest.raises(ValueError, match="must give its reason"):
