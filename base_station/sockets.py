@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from typing import NoReturn
 
 import zmq
 
@@ -55,9 +56,9 @@ class RawConnection:
         """The next whole frame and when its last byte came, or None for now."""
         readable, _, _ = select.select([self._frames, self._commands], [], [], timeout_s)
         try:
-            if self._commands in readable and not self._commands.recv(64):
-                raise LinkLost("the robot closed the command connection")
             if self._frames not in readable:
+                if self._commands in readable and not self._commands.recv(64):
+                    self._end("the robot closed the command connection")
                 return None
             count = self._frames.recv_into(self._decoder.writable())
         except BlockingIOError:
@@ -66,16 +67,17 @@ class RawConnection:
             raise LinkLost(f"the connection broke ({error.strerror or error})") from error
         arrival_s = time.monotonic()
         if count == 0:
-            self._end()
+            self._end("the robot closed the frame connection")
         frame = self._decoder.advance(count)
         return None if frame is None else (frame, arrival_s)
 
-    def _end(self) -> None:
+    def _end(self, how: str) -> NoReturn:
+        """Raise LinkLost; where a frame is cut short that is what it says."""
         try:
             self._decoder.end()
         except ProtocolError as error:
             raise LinkLost(str(error)) from error
-        raise LinkLost("the robot closed the frame connection")
+        raise LinkLost(how)
 
     def send(self, command: Command) -> float:
         """Hand a command to the socket; returns when (monotonic s). Raises LinkLost."""
