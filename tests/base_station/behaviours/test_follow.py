@@ -249,24 +249,24 @@ def weaving(time_s: float) -> tuple[float, float]:
 
 def test_behind_a_leader_on_a_circle_bearing_and_range_stay_within_the_figures_to_reach():
     end = run(on_a_circle, learned_m=0.4, seconds=60).after(10)
-    assert rms(end.bearing_deg) < 0.5
-    assert rms(end.range_ratio - 1) < 0.02
+    assert rms(end.bearing_deg) < 0.1
+    assert rms(end.range_ratio - 1) < 0.005
+    inner_m = math.sqrt(0.6**2 - 0.4**2)  # a hunter who looks at its prey runs round a smaller circle
     path_m = np.hypot(*np.diff(end.positions, axis=0).T).sum()
-    assert 50 * 0.03 < path_m < 50 * 0.07  # it did drive; on an inner circle, so less than the leader's 3 m
+    assert path_m == pytest.approx(50 * 0.06 * inner_m / 0.6, rel=0.05)
 
 
 @pytest.mark.parametrize("latency_frames", [0, 1, 2])
 def test_behind_a_weaving_leader_it_holds_up_to_two_frames_of_latency(latency_frames):
     end = run(weaving, learned_m=0.4, seconds=60, latency_frames=latency_frames).after(10)
-    assert rms(end.bearing_deg) < 0.6
-    assert rms(end.range_ratio - 1) < 0.03
-    assert abs(float(np.mean(end.bearing_deg))) < 0.1
-    assert np.ptp(end.bearing_deg) > 0.01  # it is not standing on the spot either
+    assert 0.02 < rms(end.bearing_deg) < 0.2  # small, but a turn to come cannot be foreseen
+    assert rms(end.range_ratio - 1) < 0.01
+    assert abs(float(np.mean(end.bearing_deg))) < 0.02
 
 
 def test_a_leader_that_drives_straight_on_is_caught_up_with_and_without_the_integral_is_not():
     end = run(straight_ahead, learned_m=0.4, seconds=30).after(20)
-    assert rms(end.range_ratio - 1) < 0.005
+    assert rms(end.range_ratio - 1) < 0.002
     proportional = dataclasses.replace(FollowSettings(), forward_integral_per_s=0.0, turn_integral_per_s=0.0)
     behind = run(straight_ahead, learned_m=0.4, seconds=30, follow_settings=proportional).after(20)
     assert float(np.mean(behind.range_ratio - 1)) == pytest.approx(math.exp(0.1) - 1, rel=0.05)  # 8 cm/s over 0.8
@@ -280,7 +280,7 @@ def test_from_twice_the_distance_and_turned_away_it_comes_to_the_goal_within_ten
     end = whole.after(10)
     assert np.abs(end.range_ratio - 1).max() * 0.5 < 0.01
     assert np.abs(end.bearing_deg).max() < 0.5
-    assert whole.range_ratio.min() > 0.97  # no more than 1.5 cm beyond the goal
+    assert 0.96 < whole.range_ratio.min() < 0.99  # some cm beyond the goal first, as the integral has it
 
 
 def test_too_near_it_backs_off():
@@ -290,8 +290,8 @@ def test_too_near_it_backs_off():
 
 def test_slipping_wheels_are_made_up_for():
     end = run(on_a_circle, learned_m=0.4, seconds=60, slip=(0.8, 0.95)).after(10)
-    assert rms(end.bearing_deg) < 1.0
-    assert rms(end.range_ratio - 1) < 0.03
+    assert rms(end.bearing_deg) < 0.1
+    assert rms(end.range_ratio - 1) < 0.005
 
 
 def test_without_zoom_it_keeps_the_target_ahead_and_stays_where_it_is():
