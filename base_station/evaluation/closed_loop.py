@@ -209,7 +209,7 @@ def _true_bearings_deg(rows: list[_Row]) -> list[float]:
 
 def _estimate_errors_deg(rows: list[_Row]) -> list[float]:
     return [
-        math.degrees(row.bearing_estimate_rad - row.truth.bearing_rad)
+        math.degrees(math.remainder(row.bearing_estimate_rad - row.truth.bearing_rad, 2 * math.pi))
         for row in rows
         if row.bearing_estimate_rad is not None and row.truth.bearing_rad is not None
     ]

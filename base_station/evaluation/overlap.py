@@ -57,7 +57,10 @@ def read_truth(path: Path) -> np.ndarray:
     """An OTB `groundtruth_rect.txt`: four numbers a line, apart by commas, tabs or spaces. Raises StationError."""
     try:
         lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-        return np.array([[float(word) for word in re.split(r"[,\s]+", line.strip())] for line in lines]).reshape(-1, 4)
+        boxes = [[float(word) for word in re.split(r"[,\s]+", line.strip())] for line in lines]
+        if any(len(box) != 4 for box in boxes):
+            raise ValueError("a line has another number of them")
+        return np.array(boxes).reshape(-1, 4)
     except OSError as error:
         raise StationError(f"{path} cannot be read ({error.strerror}).", usage=True) from error
     except ValueError as error:
