@@ -175,9 +175,20 @@ class Programs:
         """A camera that shows a recording, and no robot."""
         return self.agent(port, "--robot", "none", "--camera", "replay", "--source", str(source), *options)
 
-    def station(self, port: int, *options: str, stdin: int = subprocess.DEVNULL) -> Program:
-        """base-station run."""
-        return self.start(sys.executable, "-m", "base_station", "run", "--port", str(port), *options, stdin=stdin)
+    def station(self, port: int, *options: str, tracker: str = "phase", stdin: int = subprocess.DEVNULL) -> Program:
+        """base-station run. Where the tracker does not matter it is the one that starts soonest."""
+        return self.start(
+            sys.executable,
+            "-m",
+            "base_station",
+            "run",
+            "--port",
+            str(port),
+            "--tracker",
+            tracker,
+            *options,
+            stdin=stdin,
+        )
 
     def close(self) -> None:
         for program in self._started:
@@ -202,6 +213,11 @@ class TelemetryLog:
         while not self._closing.is_set():
             if self._socket.poll(50):
                 self.messages.append(decode_telemetry(self._socket.recv()))
+
+    def wait_until_live(self) -> TelemetryLog:
+        """From here on no message is missed."""
+        self.wait_for(lambda message: True, what="anything at all")
+        return self
 
     @property
     def last(self) -> Telemetry | None:

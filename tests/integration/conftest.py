@@ -25,12 +25,12 @@ def programs() -> Iterator[Programs]:
 
 @pytest.fixture
 def listen(port: int) -> Iterator[Callable[[], TelemetryLog]]:
-    """Begins to listen to the agent's telemetry."""
+    """Listens to the telemetry of the agent that runs already; from the return on no message is missed."""
     logs: list[TelemetryLog] = []
 
     def begin() -> TelemetryLog:
         logs.append(TelemetryLog(port))
-        return logs[-1]
+        return logs[-1].wait_until_live()
 
     yield begin
     for log in logs:

@@ -30,7 +30,9 @@ def run_leader(programs: Programs, summary: Path, *station_options: str, seed: i
     """Follow the leader in lockstep; the summary."""
     port = free_ports()
     agent = programs.sim(port, "--rhythm", "lockstep", "--scenario", "leader", "--seed", str(seed))
-    station = programs.station(port, "--duration", str(SECONDS), "--summary", str(summary), *station_options)
+    station = programs.station(
+        port, "--duration", str(SECONDS), "--summary", str(summary), *station_options, tracker="ztransform"
+    )
     assert station.exit_code(60) == 0, station.stderr
     agent.kill()
     return json.loads(summary.read_text())
@@ -95,7 +97,7 @@ def test_free_rhythm_follows_at_the_cameras_rate(
     programs.sim(port, "--scenario", "leader")
     telemetry = listen()
     summary = tmp_path / "summary.json"
-    station = programs.station(port, "--duration", "8", "--summary", str(summary))
+    station = programs.station(port, "--duration", "8", "--summary", str(summary), tracker="ztransform")
 
     driven = telemetry.wait_for(lambda message: sum(message.wheels_asked) > 40, what="wheels that drive forward")
     assert station.exit_code(30) == 0, station.stderr
@@ -130,7 +132,7 @@ def test_a_users_own_tracker_drives(
     programs.sim(port, "--rhythm", "lockstep")
     telemetry = listen()
     results = tmp_path / "results.csv"
-    station = programs.station(port, "--tracker", TORCH, "--duration", "3", "--results", str(results))
+    station = programs.station(port, "--duration", "3", "--results", str(results), tracker=TORCH)
 
     assert station.exit_code(30) == 0, station.stderr
     rows = list(csv.DictReader(results.open()))
@@ -160,7 +162,7 @@ def test_a_users_tracker_that_fails_stops_the_robot(
     )
     programs.sim(port)
     telemetry = listen()
-    station = programs.station(port, "--tracker", f"{broken}:BrokenTracker")
+    station = programs.station(port, tracker=f"{broken}:BrokenTracker")
 
     assert station.exit_code(20) == 1
     (line,) = [line for line in station.stderr.splitlines() if "the sun is in my eyes" in line]

@@ -20,22 +20,22 @@ Listen = Callable[[], TelemetryLog]
 SIM_BYTES = REPLAY_BYTES = 160 * 120
 
 
-def follow_in_the_simulation(
-    programs: Programs, port: int, telemetry: TelemetryLog, *agent_options: str
-) -> tuple[Program, Program]:
-    """Agent and station; returns when the robot really drives."""
-    agent = programs.sim(port, *agent_options)
-    station = programs.station(port)
+def drive_in_the_simulation(
+    programs: Programs, port: int, listen: Listen, behaviour: str = "pattern", tracker: str = "phase"
+) -> tuple[Program, Program, TelemetryLog]:
+    """Agent, station and telemetry, when the robot really drives."""
+    agent = programs.sim(port)
+    telemetry = listen()
+    station = programs.station(port, "--behaviour", behaviour, tracker=tracker)
     telemetry.wait_for(
         lambda message: min(message.wheels_measured or (0, 0)) > 40, 20.0, what="wheels measured to turn forwards"
     )
-    return agent, station
+    return agent, station, telemetry
 
 
 def test_station_killed(programs: Programs, port: int, listen: Listen) -> None:
-    """SIGKILL to a station that drives: wheels asked and measured stand within 600 ms."""
-    telemetry = listen()
-    agent, station = follow_in_the_simulation(programs, port, telemetry)
+    """SIGKILL to a station that follows: wheels asked and measured stand within 600 ms."""
+    agent, station, telemetry = drive_in_the_simulation(programs, port, listen, "follow", "ztransform")
 
     killed_s = time.monotonic()
     station.signal(signal.SIGKILL)
@@ -50,8 +50,7 @@ def test_station_killed(programs: Programs, port: int, listen: Listen) -> None:
 
 def test_station_that_hangs(programs: Programs, port: int, listen: Listen) -> None:
     """SIGSTOP keeps the connections open: the watchdog stops the wheels within 700 ms, and they turn again after."""
-    telemetry = listen()
-    _, station = follow_in_the_simulation(programs, port, telemetry)
+    _, station, telemetry = drive_in_the_simulation(programs, port, listen)
 
     hung_s = time.monotonic()
     station.signal(signal.SIGSTOP)
@@ -66,8 +65,8 @@ def test_station_that_hangs(programs: Programs, port: int, listen: Listen) -> No
 
 def test_camera_that_hangs(programs: Programs, port: int, listen: Listen) -> None:
     """A camera that gives no more pictures: the wheels stop though commands keep coming, and the reason names it."""
-    telemetry = listen()
     agent = programs.sim(port, "--fault", "camera_hangs_at_s=1.0")
+    telemetry = listen()
     with RawStation(port, SIM_BYTES) as station:
         going = threading.Event()
 
@@ -96,8 +95,8 @@ def test_camera_that_hangs(programs: Programs, port: int, listen: Listen) -> Non
 
 def test_station_tells_of_the_camera_that_hangs(programs: Programs, port: int, listen: Listen) -> None:
     """The person at the station reads that it is the camera."""
-    telemetry = listen()
     programs.sim(port, "--fault", "camera_hangs_at_s=1.0")
+    telemetry = listen()
     station = programs.station(port)
 
     telemetry.wait_for(lambda message: "camera" in message.reason, 20.0, what="the camera as the reason")
@@ -108,8 +107,8 @@ def test_emergency_stop_latches(
     programs: Programs, port: int, pictures: Path, listen: Listen, operator: Operator
 ) -> None:
     """Emergency stop over the control port: wheels stand within 100 ms though commands keep coming, until release."""
-    telemetry = listen()
     programs.replay(port, pictures)
+    telemetry = listen()
     programs.station(port, "--behaviour", "pattern")
     telemetry.wait_for(driving, 20.0, what="wheels that turn")
 
@@ -134,8 +133,8 @@ def test_emergency_stop_outlives_its_station(
     programs: Programs, port: int, pictures: Path, listen: Listen, operator: Operator
 ) -> None:
     """A new station does not lift the emergency stop."""
-    telemetry = listen()
     programs.replay(port, pictures)
+    telemetry = listen()
     assert operator.ask(Request(action="stop")).ok
     with RawStation(port, REPLAY_BYTES) as station:
         for _ in range(10):
@@ -149,8 +148,7 @@ def test_emergency_stop_outlives_its_station(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_to_the_agent(programs: Programs, port: int, listen: Listen, number: signal.Signals) -> None:
     """SIGINT and SIGTERM to the agent: the last telemetry tells of standing wheels, exit code 0, nothing is left."""
-    telemetry = listen()
-    agent, station = follow_in_the_simulation(programs, port, telemetry)
+    agent, station, telemetry = drive_in_the_simulation(programs, port, listen)
 
     agent.signal(number)
     assert agent.exit_code(10) == 0, agent.stderr
@@ -163,8 +161,7 @@ def test_signal_to_the_agent(programs: Programs, port: int, listen: Listen, numb
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_to_the_station(programs: Programs, port: int, listen: Listen, number: signal.Signals) -> None:
     """SIGINT and SIGTERM to the station: the wheels stand at once, exit code 0, nothing is left; the agent stays."""
-    telemetry = listen()
-    agent, station = follow_in_the_simulation(programs, port, telemetry)
+    agent, station, telemetry = drive_in_the_simulation(programs, port, listen)
 
     signalled_s = time.monotonic()
     station.signal(number)
@@ -187,8 +184,8 @@ def test_signal_to_a_waiting_station(programs: Programs, port: int) -> None:
 
 def test_flood_of_garbage_on_the_command_port(programs: Programs, port: int, pictures: Path, listen: Listen) -> None:
     """Random bytes as fast as they go for 2 s: frames keep flowing, the agent lives, the wheels stop after it."""
-    telemetry = listen()
     agent = programs.replay(port, pictures)
+    telemetry = listen()
     garbage = random.Random(1).randbytes(65536)
     with RawStation(port, REPLAY_BYTES) as station:
         ended = threading.Event()
@@ -227,8 +224,8 @@ def test_flood_of_garbage_on_the_command_port(programs: Programs, port: int, pic
 
 def test_half_a_command(programs: Programs, port: int, pictures: Path, listen: Listen) -> None:
     """A single byte and then the end: said in the log, no wheel turns, and the robot is free for the next."""
-    telemetry = listen()
     agent = programs.replay(port, pictures)
+    telemetry = listen()
     with connect(port + 1) as commands:
         commands.sendall(b"\x64")
     agent.says("the stream ended inside command 1: 1 of 2 bytes", 3.0)
@@ -243,8 +240,8 @@ def test_half_a_command(programs: Programs, port: int, pictures: Path, listen: L
 
 def test_command_in_two_halves(programs: Programs, port: int, pictures: Path, listen: Listen) -> None:
     """A command cut in two by the network is one command, and the half alone moves nothing."""
-    telemetry = listen()
     programs.replay(port, pictures)
+    telemetry = listen()
     with RawStation(port, REPLAY_BYTES) as station:
         station.read_frame()
         station.commands.sendall(b"\x20")
@@ -257,8 +254,8 @@ def test_command_in_two_halves(programs: Programs, port: int, pictures: Path, li
 
 def test_command_connection_alone_goes(programs: Programs, port: int, pictures: Path, listen: Listen) -> None:
     """Only the command connection breaks, frames still flow: the wheels stop."""
-    telemetry = listen()
     programs.replay(port, pictures)
+    telemetry = listen()
     with RawStation(port, REPLAY_BYTES) as station:
         station.read_frame()
         station.send(50, 50)
