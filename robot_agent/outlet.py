@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable
 
 import zmq
@@ -73,11 +75,13 @@ class Outlet:
                 self._publisher.send(encode(self._report()), zmq.NOBLOCK)
 
     def _serve(self) -> None:
+        due_s = time.monotonic()  # by the clock, not when nobody asks: a peer that never stops asking is no excuse
         while not self._closing.is_set():
-            if self._control.poll(int(HEARTBEAT_S * 1000)):
-                self._control.send(encode(self._reply(self._control.recv_multipart())))
-            else:
+            if time.monotonic() >= due_s:
                 self.publish()
+                due_s = time.monotonic() + HEARTBEAT_S
+            if self._control.poll(max(0, math.ceil((due_s - time.monotonic()) * 1000))):
+                self._control.send(encode(self._reply(self._control.recv_multipart())))
 
     def _reply(self, parts: list[bytes]) -> Reply:
         try:
