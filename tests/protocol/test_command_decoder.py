@@ -27,6 +27,7 @@ def test_minus_100_is_the_byte_that_listing_a1_reads_as_156():
 
 
 @given(UNITS, UNITS)
+@settings(derandomize=True, deadline=None)
 def test_every_command_survives_the_wire(left, right):
     assert Command.from_bytes(bytes(Command(left, right))) == Command(left, right)
 
@@ -83,7 +84,7 @@ def test_an_end_inside_a_command_says_which():
 
 
 @given(st.lists(st.binary(max_size=9), max_size=12))
-@settings(deadline=None)
+@settings(derandomize=True, deadline=None)
 def test_any_cutting_gives_the_newest_command_of_each_chunk_and_never_holds_more_than_a_byte(chunks):
     decoder, stream = CommandDecoder(), b""
     for chunk in chunks:
@@ -112,6 +113,7 @@ FINITE = st.floats(-1e6, 1e6)
 
 
 @given(FINITE, FINITE)
+@settings(derandomize=True, deadline=None)
 def test_clamping_keeps_the_ratio_of_the_wheels_to_within_rounding(left, right):
     command = Command.clamped(left, right)
     largest = max(abs(left), abs(right))
@@ -145,6 +147,7 @@ def test_towards_a_peer_that_reads_bytes_unsigned_no_wheel_goes_backwards():
 
 
 @given(FINITE, FINITE)
+@settings(derandomize=True, deadline=None)
 def test_what_an_unsigned_peer_is_sent_means_the_same_read_either_way(left, right):
     command = Command.clamped(left, right, lowest=0)
     assert list(bytes(command)) == [command.left, command.right]

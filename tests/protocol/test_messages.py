@@ -86,7 +86,7 @@ def strategy(kind: Any) -> st.SearchStrategy:
 
 
 @given(st.one_of(strategy(Request), strategy(Reply), strategy(Telemetry)))
-@settings(max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=150, deadline=None)
 def test_every_valid_message_survives_the_wire(message):
     assert DECODERS[type(message)](encode(message)) == message
 
@@ -229,7 +229,7 @@ def only_protocol_errors(data: bytes) -> None:
 
 
 @given(st.binary(max_size=300))
-@settings(max_examples=200, deadline=None)
+@settings(derandomize=True, max_examples=200, deadline=None)
 def test_garbage_raises_protocol_errors_only(data):
     only_protocol_errors(data)
 
@@ -250,7 +250,7 @@ KEYS = st.sampled_from(
 
 
 @given(st.dictionaries(KEYS, MSGPACK, max_size=8), st.dictionaries(KEYS, MSGPACK, max_size=8))
-@settings(max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=150, deadline=None)
 def test_known_keys_with_any_values_raise_protocol_errors_only(fields, hello):
     only_protocol_errors(packed(LEAST_TELEMETRY | fields))
     only_protocol_errors(packed({"ok": True, "hello": LEAST_HELLO | hello} | fields))
