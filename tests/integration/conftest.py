@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.helpers import Operator, Programs, TelemetryLog, free_ports, write_pictures
+from tests.helpers import ROOT, Operator, Programs, TelemetryLog, free_ports, write_pictures
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_kernels() -> None:
+    """A fresh clone compiles the Z-transform's kernels on first use; no test's time limit is to pay for that."""
+    make = "from base_station.trackers.registry import make_tracker; make_tracker('ztransform').close()"
+    subprocess.run([sys.executable, "-c", make], cwd=ROOT, check=True, timeout=300)
 
 
 @pytest.fixture

@@ -90,7 +90,7 @@ def test_slow_station_gets_fresh_whole_frames(
     assert numbers == sorted(set(numbers))
     before_s_worth = numbers[4] + 80  # 3 s are 90 pictures
     old = [number for number in numbers[5:] if number < before_s_worth]
-    assert len(old) <= 3, f"a queue: {numbers}"
+    assert len(old) <= 2, f"a queue: {numbers}"
     assert took_s > 0.4, "fresh frames come at the camera's pace"
 
     stamps = {m.frame.number: m.frame for m in telemetry.messages if m.frame is not None}

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol import Request
+from protocol import Request, encode
 from tests.helpers import Operator, Program, Programs, RawStation, TelemetryLog, connect, driving, standing, wait_until
 
 Listen = Callable[[], TelemetryLog]
@@ -54,8 +54,9 @@ def test_station_that_hangs(programs: Programs, port: int, listen: Listen) -> No
 
     hung_s = time.monotonic()
     station.signal(signal.SIGSTOP)
-    stopped = telemetry.wait_for(standing, 3.0, since_s=hung_s, what="standing wheels")
+    stopped = telemetry.wait_for(lambda message: not driving(message), 3.0, since_s=hung_s, what="a stop")
     assert 0.35 <= stopped.monotonic_s - hung_s <= 0.7
+    telemetry.wait_for(standing, 0.5, since_s=stopped.monotonic_s, what="wheels measured to stand")
     assert stopped.reason.startswith("no command for")
     assert stopped.station is not None, "the connection is still there"
 
@@ -270,6 +271,25 @@ def test_command_connection_alone_goes(programs: Programs, port: int, pictures: 
         assert len(station.read_frame()) == REPLAY_BYTES
 
 
+def test_command_does_not_outlive_its_connection(programs: Programs, port: int, pictures: Path, listen: Listen) -> None:
+    """A station that comes at once after another does not find the wheels turning by the other's last command."""
+    programs.replay(port, pictures)
+    telemetry = listen()
+    with RawStation(port, REPLAY_BYTES) as first:
+        first.read_frame()
+        first.send(50, 50)
+        telemetry.wait_for(driving, 3.0, what="wheels that turn")
+    closed_s = time.monotonic()
+    telemetry.wait_for(lambda message: message.station is None, 1.0, since_s=closed_s, what="no station")
+    with RawStation(port, REPLAY_BYTES) as second:
+        met = telemetry.wait_for(lambda message: message.station == second.address, 1.0, what="the second station")
+        assert met.monotonic_s - closed_s < 0.4, "too late to prove anything: the watchdog has stopped them"
+        second.read_frame()
+        second.read_frame()
+        known = telemetry.wait_for(lambda message: message.reason == "no command yet", 1.0, since_s=met.monotonic_s)
+    assert not any(driving(m) for m in telemetry.messages if met.monotonic_s <= m.monotonic_s <= known.monotonic_s)
+
+
 def test_random_control_messages(programs: Programs, port: int, pictures: Path, operator: Operator) -> None:
     """Garbage, a huge message, wrong types and parts on the control port: an error or nothing; hello works after it."""
     agent = programs.replay(port, pictures)
@@ -280,7 +300,8 @@ def test_random_control_messages(programs: Programs, port: int, pictures: Path, 
         assert answer is not None, f"no answer to {data[:20]!r}"
         assert b"error" in answer and b"\xa2ok\xc2" in answer
     operator.send_raw(bytes(1_000_000), timeout_s=0.3)
-    operator.send_raw([b"\x80", b"\x80"], timeout_s=0.3)
+    in_two_parts = operator.send_raw([encode(Request(action="hello"))] * 2)
+    assert in_two_parts is not None and b"error" in in_two_parts and b"\xa2ok\xc2" in in_two_parts
     with connect(port + 3) as not_zmq:
         not_zmq.sendall(noise.randbytes(2000))
 
