@@ -34,8 +34,10 @@ from base_station.terminal import pressed_keys
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracker_names
 from base_station.types import Box
+from protocol import FRAME_PORT
 
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,7 @@ class Run:
     """A second tracker on the same frames; the first one steers."""
     host: str = "127.0.0.1"
     """The robot's name or address."""
-    port: int = 31440
+    port: int = FRAME_PORT
     """The first of the robot's four ports."""
     width: int = 640
     """Picture width of a peer that says no hello."""
@@ -110,6 +112,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _score(command)
         print("\n".join(tracker_names()))
         return EXIT_DONE
+    except KeyboardInterrupt:
+        return EXIT_DONE
     except StationError as error:
         console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
         return EXIT_USAGE if error.usage else EXIT_FAILED
@@ -143,6 +147,13 @@ def _tracker(name: str) -> Tracker:
         raise StationError(str(error), usage=True) from error
 
 
+def _close(tracker: Tracker) -> None:
+    try:
+        tracker.close()
+    except Exception as error:  # a user's own tracker may fail here too; the run itself is over
+        logging.getLogger(__name__).warning("the tracker did not close cleanly: %s: %s", type(error).__name__, error)
+
+
 def _check(run: Run) -> None:
     """Find mistakes of usage before anything is opened."""
     try:
@@ -164,6 +175,8 @@ def _check(run: Run) -> None:
 
 def _run(run: Run, console: Console) -> int:
     _check(run)
+    for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
+        signal.signal(number, _end_at_once)
     handler = RichHandler(console=console, show_path=False)
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     settings = StationSettings(
@@ -172,14 +185,14 @@ def _run(run: Run, console: Console) -> int:
         duration_s=run.duration,
         max_frames=run.max_frames,
     )
-    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour)
+    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
         tracker = _tracker(run.tracker)
-        stack.callback(tracker.close)
+        stack.callback(_close, tracker)
         shadow = _tracker(run.shadow) if run.shadow is not None else None
         if shadow is not None:
-            stack.callback(shadow.close)
+            stack.callback(_close, shadow)
         results = ResultsFile(run.results) if run.results is not None else None
         if results is not None:
             stack.callback(results.close)
@@ -193,6 +206,8 @@ def _run(run: Run, console: Console) -> int:
             )
         )
         keys = stack.enter_context(pressed_keys())
+        if keys is None and run.behaviour == "teleop":
+            raise StationError("teleop needs a terminal to read the keys from.", usage=True)
         line = None if not run.status else stack.enter_context(_status_line(run, console, link, keys is not None))
         observers: list[Callable[[Step], None]] = [log.note_step]
         observers += [results.write] if results is not None else []
@@ -250,11 +265,15 @@ def _station(
     return station
 
 
+def _end_at_once(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
 def _end_on_signals(station: Station) -> None:
     def end(_number: int, _frame: FrameType | None) -> None:
         station.stop()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in END_SIGNALS:
         signal.signal(number, end)
 
 

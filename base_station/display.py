@@ -33,6 +33,7 @@ class StatusLine:
         self._walls_s: deque[float] = deque(maxlen=60)
         self._drawn_s = float("-inf")
         self._result: TrackerResult | None = None
+        self._shadow: TrackerResult | None = None
 
     def __enter__(self) -> StatusLine:
         if self._live is not None:
@@ -46,7 +47,7 @@ class StatusLine:
     def step(self, step: Step) -> None:
         """A frame was dealt with."""
         self._walls_s.append(time.monotonic())
-        self._result = step.result
+        self._result, self._shadow = step.result, step.shadow
         self._draw()
 
     def wait(self) -> None:
@@ -71,7 +72,9 @@ class StatusLine:
         else:
             line.append(f"{self._result.state.value} ", style=STYLES[self._result.state])
             line.append(describe(self._result), style="default")
-            line.append(f"  {self._rate_hz():.1f} Hz", style="default")
+            if self._shadow is not None:
+                line.append(f"  [shadow {self._shadow.state.value} {describe(self._shadow)}]", style="dim")
+        line.append(f"  {self._rate_hz():.1f} Hz", style="default")
         telemetry = self._link.telemetry
         if self._link.connected and telemetry is not None and telemetry.reason:
             line.append(f"  wheels {telemetry.safety}: {telemetry.reason}", style="bold magenta")
@@ -109,6 +112,8 @@ def summary_table(summary: Summary) -> Table:
         ("tracked while in view", _percent(summary.tracking_share), "{:.1f} %"),
         ("bearing error, RMS", summary.bearing_error_deg_rms, "{:.2f}°"),
         ("bearing estimate error, RMS", summary.bearing_estimate_error_deg_rms, "{:.2f}°"),
+        ("shadow: tracked while in view", _percent(summary.shadow_tracking_share), "{:.1f} %"),
+        ("shadow: bearing estimate error, RMS", summary.shadow_bearing_estimate_error_deg_rms, "{:.2f}°"),
         ("distance error, RMS", _percent(summary.distance_error_rel_rms), "{:.2f} %"),
         ("at the end: distance error", summary.final_distance_error_m, "{:.3f} m"),
         ("at the end: bearing error", summary.final_bearing_error_deg, "{:.2f}°"),

@@ -18,16 +18,17 @@ OFFSET_WINDOW = 300
 class FrameClock:
     """Times of frames, each known by its key (connection, number). `note` and `time_s` may be called from two threads.
 
-    `stepped`: the peer goes in lockstep, where the agent's own times are used as they are and are worth waiting for.
+    One clock lasts as long as the link: it goes forward through all connections, whatever the agents' clocks show.
     """
 
-    def __init__(self, *, stepped: bool = False, wait_s: float = 0.0) -> None:
-        self.uses_capture_times = False
-        """Whether the newest time came from telemetry."""
-        self._stepped, self._wait_s = stepped, wait_s
+    def __init__(self) -> None:
         self._captures: OrderedDict[FrameKey, float] = OrderedDict()
-        self._delays: deque[float] = deque(maxlen=OFFSET_WINDOW)
         self._noted = threading.Condition()
+        self._delays: deque[float] = deque(maxlen=OFFSET_WINDOW)
+        self._connection: str | None = None
+        self._stepped_period_s: float | None = None
+        self._wait_s = 0.0
+        self._offset_s = 0.0
         self._last_s = float("-inf")
 
     def note(self, key: FrameKey, capture_s: float) -> None:
@@ -38,19 +39,34 @@ class FrameClock:
                 self._captures.popitem(last=False)
             self._noted.notify_all()
 
+    def begin(self, *, stepped_period_s: float | None = None, wait_s: float = 0.0) -> None:
+        """A new connection. In lockstep the agent's own times are used as they are, and are worth `wait_s` of waiting;
+        a frame without one is a `stepped_period_s` after the one before."""
+        self._delays.clear()
+        self._stepped_period_s, self._wait_s = stepped_period_s, wait_s
+
     def time_s(self, key: FrameKey, arrival_s: float) -> float:
         """The time of this frame, never before that of the frame asked for before."""
         with self._noted:
             if self._wait_s:
                 self._noted.wait_for(lambda: key in self._captures, self._wait_s)
             capture_s = self._captures.get(key)
-        self.uses_capture_times = capture_s is not None
-        if capture_s is None:
+        if self._stepped_period_s is not None:
+            time_s = self._stepped_s(key[0], capture_s, self._stepped_period_s)
+        elif capture_s is None:
             time_s = arrival_s
-        elif self._stepped:
-            time_s = capture_s
         else:
             self._delays.append(arrival_s - capture_s)
             time_s = capture_s + min(self._delays)
         self._last_s = max(self._last_s, time_s)
         return self._last_s
+
+    def _stepped_s(self, connection: str, capture_s: float | None, period_s: float) -> float:
+        following_s = self._last_s + period_s if self._last_s > float("-inf") else 0.0
+        if capture_s is None:
+            return following_s
+        if connection != self._connection:
+            # The first connection keeps the agent's times; a later one goes on where the one before stopped.
+            self._offset_s = max(0.0, following_s - capture_s) if self._connection is not None else 0.0
+            self._connection = connection
+        return capture_s + self._offset_s

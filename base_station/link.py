@@ -1,7 +1,7 @@
 """The link to one robot: keeps connecting, hands out the newest frame, takes commands, and says how it stands.
 
-A thread receives; the station's loop asks for `next_frame`. Frames that the loop has no time for are counted and passed
-over: the newest wins. When the robot goes away the link says so and tries again until it is back.
+A thread receives; the station's loop asks for `next_frame`. Frames that the loop has no time for are passed over:
+the newest wins. When the robot goes away the link says so and tries again until it is back.
 """
 
 from __future__ import annotations
@@ -18,9 +18,20 @@ import zmq
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
 from base_station.geometry import PinholeCamera
-from base_station.sockets import Control, LinkLost, RawConnection, TelemetryFeed
+from base_station.sockets import Control, LinkLost, RawConnection, TelemetryFeed, UnknownHost
 from base_station.types import Frame
-from protocol import Command, FrameFormat, Hello, ProtocolError, Reply, Request, ScenarioEvent, Telemetry
+from protocol import (
+    FRAME_PORT,
+    MIN_UNIT,
+    Command,
+    FrameFormat,
+    Hello,
+    ProtocolError,
+    Reply,
+    Request,
+    ScenarioEvent,
+    Telemetry,
+)
 
 log = logging.getLogger(__name__)
 
@@ -34,13 +45,23 @@ class LinkSettings:
     """Where the robot is, and what to assume when it cannot say (a peer with the raw ports only)."""
 
     host: str = "127.0.0.1"
-    port: int = 31440
+    port: int = FRAME_PORT
     width: int = 640
     height: int = 480
     signed_peer: bool = False
     """A peer without hello reads signed bytes; else commands to it are clamped to 0..127."""
     lockstep_wait_s: float = 2.0
     """In lockstep, how long a frame waits for its telemetry."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Session:
+    """One connection, with all that its frames and commands need."""
+
+    raw: RawConnection
+    format: FrameFormat
+    camera: PinholeCamera
+    lowest_unit: int
 
 
 class Link:
@@ -51,13 +72,11 @@ class Link:
     ) -> None:
         self.settings = settings or LinkSettings()
         self.hello: Hello | None = None
-        """What the robot said of itself; None for a peer with the raw ports only."""
+        """What the robot last said of itself; None for a peer with the raw ports only."""
         self.telemetry: Telemetry | None = None
         self.state = "connecting"
         """In words: how the link stands."""
         self.connections = 0
-        self.skipped = 0
-        """Frames that came and were replaced by newer ones before the loop asked."""
         self.ended = False
         """The robot replays a recording and has come to its end."""
         self.events: tuple[ScenarioEvent, ...] = ()
@@ -66,10 +85,10 @@ class Link:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._control = Control(self._context, self.settings.host, self.settings.port + 3)
         self._feed: TelemetryFeed | None = None
-        self._raw: RawConnection | None = None
-        self._assume()
+        self._session: _Session | None = None
+        self._clock = FrameClock()
         self._fresh = threading.Condition()
-        self._newest: tuple[str, int, bytearray, float] | None = None
+        self._newest: tuple[_Session, int, bytearray, float] | None = None
         self._failure: StationError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
@@ -98,56 +117,66 @@ class Link:
                 raise self._failure
             if self._newest is None:
                 return None
-            (connection, number, data, arrival_s), self._newest = self._newest, None
-        time_s = self._clock.time_s((connection, number), arrival_s)
-        image = np.frombuffer(data, np.uint8).reshape(self._format.height, self._format.width)
+            (session, number, data, arrival_s), self._newest = self._newest, None
+        image = np.frombuffer(data, np.uint8).reshape(session.format.height, session.format.width)
         image.flags.writeable = False
-        frame = Frame(image=image, number=number, time_s=time_s, camera=self._camera, connection=connection)
+        frame = Frame(
+            image=image,
+            number=number,
+            time_s=self._clock.time_s((session.raw.address, number), arrival_s),
+            camera=session.camera,
+            connection=session.raw.address,
+        )
         return frame, arrival_s
 
-    def send(self, command: Command) -> float | None:
-        """Send wheel speeds; returns when they were handed to the socket, None while there is no connection."""
-        raw = self._raw
-        if raw is None:
+    def send(self, command: Command, connection: str | None = None) -> float | None:
+        """Send wheel speeds; returns when they were handed to the socket, None when that could not be.
+
+        `connection`: the one whose frame is answered; when it is over, the answer goes nowhere.
+        """
+        session = self._session
+        if session is None or connection not in (None, session.raw.address):
             return None
-        if self.hello is None and not self.settings.signed_peer:
-            command = Command.clamped(command.left, command.right, lowest=0)
         try:
-            return raw.send(command)
+            return session.raw.send(Command.clamped(command.left, command.right, lowest=session.lowest_unit))
         except LinkLost as error:
             log.debug("%s", error)  # the receiving thread meets the same end and says so
             return None
 
     def ask(self, request: Request) -> Reply | None:
-        """Ask the agent on its control port. None when nobody answers there. Raises ProtocolError."""
+        """Ask the agent on its control port. None when nobody listens there. Raises LinkLost, ProtocolError."""
         return self._control.ask(request)
 
     @property
     def connected(self) -> bool:
         """Whether frames can come and commands go now."""
-        return self._raw is not None
-
-    @property
-    def uses_capture_times(self) -> bool:
-        """Whether frames carry the time they were taken; else the time they arrived."""
-        return self._clock.uses_capture_times
+        return self._session is not None
 
     # -- the receiving thread --------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        failure: StationError | None = None
         try:
             while not self._closing.is_set() and not self.ended:
                 self._connect_and_receive()
                 self._closing.wait(RETRY_S)
         except StationError as error:
-            with self._fresh:
-                self._failure = error
-                self._fresh.notify_all()
+            failure = error
+        except Exception as error:
+            log.exception("the link failed")
+            failure = StationError(f"The link failed ({type(error).__name__}: {error}).")
+        with self._fresh:
+            self._failure = failure
+            self._fresh.notify_all()
 
     def _connect_and_receive(self) -> None:
         try:
-            self._introduce()
-            raw = RawConnection(self.settings.host, self.settings.port, self._format)
+            session = self._open()
+        except UnknownHost as error:
+            if not self.connections:
+                raise StationError(f"Cannot find the robot: {error}. Check --host.", usage=True) from error
+            self._say(f"waiting for the robot: {error}")
+            return
         except LinkLost as error:
             self._say(f"waiting for the robot: {error}")
             return
@@ -155,33 +184,54 @@ class Link:
             raise StationError(f"The robot at {self.settings.host} answers, but not as it should: {error}") from error
         try:
             self.connections += 1
-            self._raw = raw
-            self._say(f"connected to {self.settings.host}:{self.settings.port}, frames {self._format}")
+            self._session = session
+            self._say(f"connected to {self.settings.host}:{self.settings.port}, frames {session.format}")
             while not self._closing.is_set():
-                received = raw.receive(0.1)
+                received = session.raw.receive(0.1)
                 if received is not None:
-                    self._offer(raw, *received)
+                    self._offer(session, *received)
         except LinkLost as error:
             self._say(f"lost the robot: {error}")
         finally:
-            self._raw = None
-            raw.close()
+            self._session = None
+            session.raw.close()
+            if not self.ended:  # the last pictures of a recording are still wanted, those of a lost robot are not
+                self._offer_nothing()
 
-    def _introduce(self) -> None:
-        """Ask who is there, and prepare frame format, camera and clock accordingly. Raises LinkLost, StationError."""
+    def _open(self) -> _Session:
+        """Ask who is there, and connect accordingly. Raises LinkLost, StationError, ProtocolError."""
         hello = self._ask_hello()
-        self.hello = hello
         if hello is None:
-            self._assume()
-            return
-        self._format = hello.format
-        self._camera = _camera_of(hello)
+            if self.hello is not None:
+                raise LinkLost("its control port does not answer yet")
+            return self._open_plain()
+        self.hello = hello
         self.events = hello.scenario.events if hello.scenario is not None else ()
         if self._feed is None:
             self._feed = TelemetryFeed(self._context, self.settings.host, self.settings.port + 2, self._take_telemetry)
         live = self._feed.wait_until_live(1.0)
+        if not live:
+            log.warning("no telemetry on port %d: frames carry arrival times", self.settings.port + 2)
         stepped = hello.rhythm == "lockstep"
-        self._clock = FrameClock(stepped=stepped, wait_s=self.settings.lockstep_wait_s if stepped and live else 0.0)
+        self._clock.begin(
+            stepped_period_s=1.0 / hello.fps if stepped and live else None,
+            wait_s=self.settings.lockstep_wait_s if stepped and live else 0.0,
+        )
+        raw = RawConnection(self.settings.host, self.settings.port, hello.format)
+        return _Session(raw, hello.format, _camera_of(hello), MIN_UNIT)
+
+    def _open_plain(self) -> _Session:
+        """Nobody answers hello: take the stream for what the settings say."""
+        assumed = FrameFormat(width=self.settings.width, height=self.settings.height)
+        raw = RawConnection(self.settings.host, self.settings.port, assumed)
+        if self._control.listens():  # an agent that was just starting
+            raw.close()
+            raise LinkLost("it is just starting")
+        self._clock.begin()
+        self.events = ()
+        log.warning("%s", assumptions(self.settings))
+        camera = PinholeCamera.with_fov(self.settings.width, self.settings.height)
+        return _Session(raw, assumed, camera, MIN_UNIT if self.settings.signed_peer else 0)
 
     def _ask_hello(self) -> Hello | None:
         deadline_s = time.monotonic() + BUSY_PATIENCE_S
@@ -190,38 +240,23 @@ class Link:
             hello = reply.hello if reply is not None else None
             if hello is None or hello.busy_with is None:
                 return hello
-            if time.monotonic() > deadline_s:
-                busy = f"the robot is busy with {hello.busy_with}"
+            if time.monotonic() > deadline_s or self._closing.is_set():
                 if self.connections:
-                    raise LinkLost(busy)
+                    raise LinkLost(f"the robot is busy with {hello.busy_with}")
                 raise StationError(
                     f"The robot at {self.settings.host}:{self.settings.port} is busy with the station "
                     f"{hello.busy_with}: end that one first."
                 )
             self._closing.wait(RETRY_S)
 
-    def _assume(self) -> None:
-        """Nobody answers hello: take the stream for what the settings say."""
-        self._format = FrameFormat(width=self.settings.width, height=self.settings.height)
-        self._camera = PinholeCamera.with_fov(self.settings.width, self.settings.height)
-        self._clock = FrameClock()
-        self.events = ()
-
-    def assumptions(self) -> str:
-        """What is assumed of a peer without hello, in words; empty when it said hello."""
-        if self.hello is not None:
-            return ""
-        signs = "signed" if self.settings.signed_peer else "cut to 0..127 (--signed-peer if it reads them signed)"
-        return (
-            f"No hello on port {self.settings.port + 3}: a peer with the raw ports only. Assuming frames of "
-            f"{self._format} (--width, --height), arrival times, commands {signs}."
-        )
-
-    def _offer(self, raw: RawConnection, data: bytearray, arrival_s: float) -> None:
+    def _offer(self, session: _Session, data: bytearray, arrival_s: float) -> None:
         with self._fresh:
-            self.skipped += self._newest is not None
-            self._newest = (raw.address, raw.frames_received, data, arrival_s)
+            self._newest = (session, session.raw.frames_received, data, arrival_s)
             self._fresh.notify()
+
+    def _offer_nothing(self) -> None:
+        with self._fresh:
+            self._newest = None
 
     def _take_telemetry(self, telemetry: Telemetry) -> None:
         self.telemetry = telemetry
@@ -236,8 +271,15 @@ class Link:
         if text != self.state:
             self.state = text
             log.info("%s", text)
-            if text.startswith("connected") and self.hello is None:
-                log.warning("%s", self.assumptions())
+
+
+def assumptions(settings: LinkSettings) -> str:
+    """What is assumed of a peer without hello, in words."""
+    signs = "signed" if settings.signed_peer else "cut to 0..127 (--signed-peer if it reads them signed)"
+    return (
+        f"No hello on port {settings.port + 3}: a peer with the raw ports only. Assuming frames of "
+        f"{settings.width}x{settings.height} (--width, --height), arrival times, commands {signs}."
+    )
 
 
 def _camera_of(hello: Hello) -> PinholeCamera:

@@ -13,6 +13,7 @@ from base_station.station import Step
 COLUMNS = (
     "frame", "time_s", "state", "reason", "x", "y", "width", "height",
     "shift_px", "shift_y_px", "bearing_deg", "elevation_deg", "zoom", "confidence", "left", "right",
+    "shadow_state", "shadow_bearing_deg", "shadow_zoom", "shadow_confidence",
 )  # fmt: skip
 
 
@@ -29,19 +30,25 @@ class ResultsFile:
 
     def write(self, step: Step) -> None:
         """One row; what the tracker could not tell stays empty."""
-        result, box = step.result, step.result.box
+        result, box, shadow = step.result, step.result.box, step.shadow
         sides = (box.x, box.y, box.width, box.height) if box is not None else (None,) * 4
         angles = (_degrees(result.bearing_rad), _degrees(result.elevation_rad))
         numbers = (*sides, result.shift_px, result.shift_y_px, *angles, result.zoom, result.confidence)
+        seen_in_shadow = (
+            (shadow.state.value, _text(_degrees(shadow.bearing_rad)), _text(shadow.zoom), _text(shadow.confidence))
+            if shadow is not None
+            else ("",) * 4
+        )
         self._writer.writerow(
             [
                 step.frame.number,
                 f"{step.frame.time_s:.6f}",
                 result.state.value,
                 result.reason,
-                *("" if number is None else f"{number:.4f}" for number in numbers),
+                *(_text(number) for number in numbers),
                 step.command.left,
                 step.command.right,
+                *seen_in_shadow,
             ]
         )
 
@@ -51,3 +58,7 @@ class ResultsFile:
 
 def _degrees(angle_rad: float | None) -> float | None:
     return None if angle_rad is None else math.degrees(angle_rad)
+
+
+def _text(number: float | None) -> str:
+    return "" if number is None else f"{number:.4f}"

@@ -12,7 +12,6 @@ from typing import NoReturn
 
 import zmq
 
-from base_station.errors import StationError
 from protocol import (
     Command,
     FrameDecoder,
@@ -32,6 +31,10 @@ CONNECT_TIMEOUT_S = 2.0
 
 class LinkLost(Exception):
     """The connection ended; the text says how."""
+
+
+class UnknownHost(LinkLost):
+    """The host's name means nothing, or not now."""
 
 
 class RawConnection:
@@ -95,23 +98,35 @@ class RawConnection:
 
 
 def _connect(host: str, port: int, receive_buffer: int | None = None) -> socket.socket:
+    """Raises UnknownHost, LinkLost."""
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    except socket.gaierror as error:
-        raise StationError(f"There is no host {host!r} ({error.strerror}): check --host.", usage=True) from error
-    family, kind, protocol, _, address = addresses[0]
-    connection = socket.socket(family, kind, protocol)
-    try:
-        if receive_buffer is not None:
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, max(receive_buffer, 4096))
-        connection.settimeout(CONNECT_TIMEOUT_S)
-        connection.connect(address)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setblocking(False)
-    except OSError as error:
-        connection.close()
-        raise LinkLost(f"{host}:{port} does not answer ({error.strerror or error})") from error
-    return connection
+    except (socket.gaierror, UnicodeError) as error:
+        raise UnknownHost(f"there is no host {host!r} ({getattr(error, 'strerror', error)})") from error
+    failure: OSError | None = None
+    for family, kind, protocol, _, address in addresses:
+        connection = socket.socket(family, kind, protocol)
+        try:
+            if receive_buffer is not None:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, max(receive_buffer, 4096))
+            connection.settimeout(CONNECT_TIMEOUT_S)
+            connection.connect(address)
+            _tune(connection)
+            return connection
+        except OSError as error:
+            connection.close()
+            failure = error
+    raise LinkLost(f"{host}:{port} does not answer ({(failure and failure.strerror) or failure})") from failure
+
+
+def _tune(connection: socket.socket) -> None:
+    """No delay for two bytes, and a robot that vanished (Wi-Fi gone, plug pulled) is noticed within seconds."""
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
+    connection.setblocking(False)
 
 
 class Control:
@@ -122,9 +137,12 @@ class Control:
         self._asking = threading.Lock()
 
     def ask(self, request: Request, timeout_s: float = 2.0) -> Reply | None:
-        """The agent's reply, None when nobody answers. Raises ProtocolError when the answer makes no sense."""
+        """The agent's reply, None when nobody listens there.
+
+        Raises LinkLost when somebody listens but does not answer, ProtocolError when the answer makes no sense.
+        """
         with self._asking:
-            if not self._listens():
+            if not self.listens():
                 return None
             with self._context.socket(zmq.REQ) as asking:  # a new one each time: REQ is stuck after a lost reply
                 asking.linger = 0
@@ -132,10 +150,10 @@ class Control:
                 asking.connect(f"tcp://{self._host}:{self._port}")
                 asking.send(encode(request))
                 if not asking.poll(int(timeout_s * 1000)):
-                    return None
+                    raise LinkLost(f"{self._host}:{self._port} gives no answer")
                 return decode_reply(asking.recv())
 
-    def _listens(self) -> bool:
+    def listens(self) -> bool:
         """Whether anything listens there: a plain thesis peer does not, and need not be waited for."""
         try:
             _connect(self._host, self._port).close()

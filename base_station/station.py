@@ -14,14 +14,17 @@ from dataclasses import dataclass
 
 from base_station.behaviours.base import Behaviour, Drive
 from base_station.behaviours.registry import BehaviourContext, make_behaviour
+from base_station.errors import StationError
 from base_station.link import Link
+from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
 from base_station.types import Box, Frame, TrackerResult, TrackingState
-from protocol import STOP, Command, Request, RobotLimits
+from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
 log = logging.getLogger(__name__)
 
 WAIT_S = 0.1
+PATIENCE_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +72,7 @@ class Station:
         self._keys = keys or queue.SimpleQueue()
         self._on_step, self._on_wait = on_step, on_wait
         self._behaviour: Behaviour | None = None
+        self._connection = ""
         self._stopping = False
         self._target = self.settings.target
         self._learn_asked = True
@@ -87,32 +91,54 @@ class Station:
 
     def emergency(self, action: str) -> None:
         """ "stop" or "release" the robot's emergency stop. Says so when the robot has no control port."""
-        if self._link.ask(Request(action=action, text="by the operator")) is None:
-            log.warning("this robot has no control port: no emergency stop, commands only")
+        try:
+            reply = self._link.ask(Request(action=action, text="by the operator"))
+        except (LinkLost, ProtocolError) as error:
+            log.error("the robot did not confirm the emergency %s: %s", action, error)
+            return
+        if reply is None:
+            log.warning("this robot has no control port: no emergency %s, commands only", action)
+        elif not reply.ok:
+            log.error("the robot refused the emergency %s: %s", action, reply.error)
 
     def run(self) -> None:
         """Until `stop`, the duration, or the end of a recording. Sends a stop at the end. Raises StationError."""
+        last_frame_s = time.monotonic()
         try:
             while not self._stopping:
                 received = self._link.next_frame(WAIT_S)
                 if received is not None:
+                    last_frame_s = time.monotonic()
                     self._on_step(self._step(*received))
                 elif self._link.ended:
                     return
                 else:
-                    self._on_wait()
+                    self._wait(time.monotonic() - last_frame_s)
         finally:
             self._link.send(STOP)
 
+    def _wait(self, without_frames_s: float) -> None:
+        """No frame came. A run of limited length does not wait for ever for a robot that went."""
+        self._forget_keys()
+        self._on_wait()
+        duration_s = self.settings.duration_s
+        if duration_s is not None and without_frames_s > max(duration_s, PATIENCE_S):
+            raise StationError(f"No frame for {without_frames_s:.0f} s ({self._link.state}): the run ends here.")
+
+    def _forget_keys(self) -> None:
+        """A key pressed while the robot was away must not move it when it is back."""
+        while not self._keys.empty():
+            self._keys.get_nowait()
+
     def _step(self, frame: Frame, arrival_s: float) -> Step:
         self._count(frame)
-        behaviour = self._behaviour_for_robot()
+        behaviour = self._behaviour_for(frame)
         learned = self._learn(self._tracker, frame)
         begun_s = time.perf_counter()
         result = self._look(self._tracker, frame)
         tracker_s = time.perf_counter() - begun_s
         command = behaviour.command(result if self._learned else None, frame.time_s)
-        sent_s = self._link.send(command)
+        sent_s = self._link.send(command, frame.connection)
         return Step(
             frame=frame,
             result=result,
@@ -131,9 +157,10 @@ class Station:
         if over or self._frames == self.settings.max_frames:
             self._stopping = True
 
-    def _behaviour_for_robot(self) -> Behaviour:
-        """Made with the first frame, when the link knows the robot's limits."""
-        if self._behaviour is None:
+    def _behaviour_for(self, frame: Frame) -> Behaviour:
+        """A new one for each connection: the robot may have other limits now, and the past says nothing."""
+        if self._behaviour is None or frame.connection != self._connection:
+            self._connection = frame.connection
             limits = self._link.hello.limits if self._link.hello is not None else RobotLimits()
             self._behaviour = make_behaviour(
                 self.settings.behaviour, BehaviourContext(drive=Drive(limits), keys=self._keys)

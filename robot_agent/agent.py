@@ -11,13 +11,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from protocol import (
+    FRAME_PORT,
     PROTOCOL_VERSION,
-    Command,
     FrameFormat,
     FrameStamp,
     Hello,
@@ -26,6 +27,7 @@ from protocol import (
     Reply,
     Request,
     Scenario,
+    ScenarioEvent,
     Telemetry,
     Truth,
 )
@@ -34,15 +36,18 @@ from robot_agent.access import AllowList
 from robot_agent.cameras.base import Camera, CameraFrame
 from robot_agent.errors import AgentError, CameraError, EndOfRecording, UsageError
 from robot_agent.outlet import Outlet
-from robot_agent.ports import CommandReader, FrameWriter, StationPort
+from robot_agent.ports import CommandReader, FrameWriter, Peer, StationPort
 from robot_agent.robots.base import Robot
-from robot_agent.safety import Decision, LinkState, SafetySettings, SafetyState, SafetySupervisor, WheelCommand
+from robot_agent.safety import SafetySettings, SafetySupervisor
+from robot_agent.wheels import Wheels
 
 log = logging.getLogger(__name__)
 
 SAFETY_PERIOD_S = 0.01
 PEER_CHECK_S = 0.2
 WAIT_S = 0.1
+FLUSH_S = 0.5
+"""At the end of a recording its last picture has this long to leave."""
 """How long a thread waits before it looks whether the agent is to end."""
 
 
@@ -51,7 +56,7 @@ class AgentSettings:
     """How the agent serves. Ports are `port` (frames) and the three after it."""
 
     host: str = "127.0.0.1"
-    port: int = 31440
+    port: int = FRAME_PORT
     allow: tuple[str, ...] = ()
     """Networks from which stations may connect; empty: all that reach `host`."""
     rhythm: str = "free"
@@ -88,34 +93,53 @@ class Agent:
         self._scenario = scenario
         self._format = _frame_format(camera, self._settings.rows)
         self._supervisor = SafetySupervisor(_safety_for(camera, robot, self._settings.safety))
-        self._lock = threading.RLock()
-        self._command: WheelCommand | None = None
-        self._decision = Decision(0, 0, SafetyState.STOPPED, "starting")
-        self._last_frame_s: float | None = None
-        self._had_frame_peer = False
-        self._problem = ""
-        self._ended = False
+        self._lock = threading.Lock()
         self._stamp: FrameStamp | None = None
         self._truth: Truth | None = None
         self._sequence = 0
+        self._ended = False
+        self._asked_to_stop = False
         self._stopping = threading.Event()
         self._failure: AgentError | None = None
         self._fresh = threading.Condition()
         self._newest: CameraFrame | None = None
         self._replaced = 0
+        self._sending = False
+        self._picture_s = time.monotonic()
 
         allow = AllowList(self._settings.allow)
         host, port = self._settings.host, self._settings.port
-        self._outlet = Outlet(host, port + 2, port + 3, allow=allow, answer=self._answer, report=self._telemetry)
-        self._ports: list[StationPort] = []
-        try:
-            self._frame_port = StationPort("frames", host, port, allow, self._link_changed)
-            self._ports.append(self._frame_port)
-            self._command_port = StationPort("commands", host, port + 1, allow, self._link_changed)
-            self._ports.append(self._command_port)
-        except AgentError:
-            self._close_ports()
-            raise
+        with ExitStack() as opened:
+            self._outlet = Outlet(host, port + 2, port + 3, allow=allow, answer=self._answer, report=self._telemetry)
+            opened.callback(self._outlet.close)
+            self._frame_port = StationPort(
+                "frames",
+                host,
+                port,
+                allow=allow,
+                on_change=self._link_changed,
+                partner_host=lambda: _host_of(self._command_port),
+            )
+            opened.callback(self._frame_port.close)
+            self._command_port = StationPort(
+                "commands",
+                host,
+                port + 1,
+                allow=allow,
+                on_change=self._link_changed,
+                partner_host=lambda: _host_of(self._frame_port),
+            )
+            opened.callback(self._command_port.close)
+            self._wheels = Wheels(
+                robot,
+                self._supervisor,
+                frame_port=self._frame_port,
+                command_port=self._command_port,
+                speed_scale=self._settings.speed_scale,
+                clock=clock,
+                on_change=self._outlet.publish,
+            )
+            self._close_ports = opened.pop_all().close
         self._writer = FrameWriter(self._frame_port, self._format.size_bytes, lambda: not self._stopping.is_set())
         self._reader = CommandReader(self._command_port)
 
@@ -136,22 +160,28 @@ class Agent:
             threading.Thread(target=self._guard, args=(task,), name=name, daemon=True) for name, task in tasks.items()
         ]
         self._outlet.start()
-        for port in self._ports:
-            port.start()
+        self._frame_port.start()
+        self._command_port.start()
         for thread in threads:
             thread.start()
         try:
-            while not self._stopping.wait(PEER_CHECK_S):
-                for port in self._ports:
-                    port.drop_if_gone()
+            while not (self._asked_to_stop or self._stopping.wait(PEER_CHECK_S)):
+                self._look_around()
         finally:
             self._shut_down(threads)
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
-        """Ask the agent to end; returns at once. Any thread and signal handlers may call it."""
-        self._stopping.set()
+        """Ask the agent to end; returns at once. Safe in a signal handler: it takes no lock."""
+        self._asked_to_stop = True
+
+    def _look_around(self) -> None:
+        """What no thread notices by itself: stations that went silently, a robot that failed."""
+        self._frame_port.drop_if_gone()
+        self._command_port.drop_if_gone()
+        if self._wheels.robot_failure:
+            self._fail(AgentError(f"Stopped: {self._wheels.robot_failure}."))
 
     def _guard(self, task: Callable[[], None]) -> None:
         """Run a thread's task; whatever ends it unexpectedly stops the wheels first, then the agent."""
@@ -166,57 +196,53 @@ class Agent:
             self._fail(AgentError(f"The agent failed ({type(error).__name__}: {error}); the wheels were stopped."))
 
     def _fail(self, error: AgentError) -> None:
-        with self._lock:
-            self._problem = str(error)
-            self._failure = self._failure or error
-        self._decide()
-        self._outlet.publish()
-        self.stop()
+        self._failure = self._failure or error
+        self._stopping.set()
+        self._wheels.forbid(str(error))
 
     def _end_of_recording(self) -> None:
         log.info("the recording has come to its end")
-        self._flush()
-        with self._lock:
-            self._problem, self._ended = "the recording has come to its end", True
-        self._decide()
-        self._outlet.publish()
-        self.stop()
-
-    def _flush(self) -> None:
-        """Give the last picture half a second to leave."""
-        deadline_s = time.monotonic() + 0.5
-        while self._newest is not None and self._frame_port.peer is not None and time.monotonic() < deadline_s:
+        deadline_s = time.monotonic() + FLUSH_S
+        while (self._newest is not None or self._sending) and self._frame_port.peer and time.monotonic() < deadline_s:
             self._stopping.wait(0.005)
+        self._ended = True
+        self._wheels.forbid("the recording has come to its end")
+        self._stopping.set()
 
     def _shut_down(self, threads: list[threading.Thread]) -> None:
-        with self._lock:
-            self._problem = self._problem or "the agent ends"
+        """Stop the wheels, then let go of everything, whatever fails on the way."""
         self._stopping.set()
-        self._decide()
-        self._outlet.publish()
-        for thread in threads:
-            thread.join(timeout=2.0)  # daemons: a camera that never returns does not keep the process
-        self._robot.close()
-        self._camera.close()
-        self._close_ports()
-
-    def _close_ports(self) -> None:
-        for port in self._ports:
-            port.close()
-        self._outlet.close()
+        with ExitStack() as closing:  # the last one named is the first one called
+            closing.callback(self._camera.close)
+            closing.callback(self._robot.close)
+            closing.callback(self._close_ports)
+            for thread in threads:
+                closing.callback(thread.join, 2.0)  # daemons: a camera that never returns does not keep the process
+            closing.callback(self._outlet.publish)
+            closing.callback(self._wheels.forbid, "the agent ends")
 
     # -- camera and frames -----------------------------------------------------------------------------------------
 
     def _next_picture(self) -> CameraFrame | None:
         """A picture from the camera, or None for now; keeps the time of the newest one for the supervisor."""
         picture = self._camera.read(WAIT_S)
-        if picture is not None:
-            if picture.image.shape != (self._format.full_height, self._format.width):
-                size = "x".join(map(str, picture.image.shape[::-1]))
-                raise CameraError(f"The camera changed its picture to {size}: start the agent again.")
-            with self._lock:
-                self._last_frame_s = self._clock()
+        if picture is None:
+            self._suspect_camera()
+            return None
+        if picture.image.shape != (self._format.full_height, self._format.width):
+            size = "x".join(map(str, picture.image.shape[::-1]))
+            raise CameraError(f"The camera changed its picture to {size}: start the agent again.")
+        self._picture_s = time.monotonic()
+        self._wheels.picture_came()
+        if self._stepped:
+            self._wheels.decide()  # nobody else asks while simulated time stands
         return picture
+
+    def _suspect_camera(self) -> None:
+        """A simulated clock that stands with its camera cannot tell that the camera hangs; the wall's can."""
+        silent_s = time.monotonic() - self._picture_s
+        if self._stepped and silent_s > self._supervisor.settings.frame_timeout_s:
+            self._wheels.camera_is_silent(f"the camera hangs: no picture for {silent_s * 1000:.0f} ms")
 
     def _read_camera(self) -> None:
         while not self._stopping.is_set():
@@ -234,23 +260,24 @@ class Agent:
             self._fresh.wait_for(lambda: self._newest is not None, WAIT_S)
             taken, replaced = self._newest, self._replaced
             self._newest, self._replaced = None, 0
+            self._sending = taken is not None
             return taken, replaced
 
     def _send_frames(self) -> None:
-        served = 0
+        served: Peer | None = None
         while not self._stopping.is_set():
             picture, replaced = self._take_newest()
             peer = self._frame_port.peer
-            if picture is None or peer is None:
-                continue
-            if self._frame_port.connections != served:
-                served, replaced = self._frame_port.connections, 0
-                self._writer.prepare(peer)
-            elif not self._writer.ready(peer):
-                self._put_back(picture, replaced)
-                continue
-            self._stamp_frame(served, picture, replaced)
-            self._writer.write(peer, self._pixels(picture))
+            if picture is not None and peer is not None:
+                if peer is not served:
+                    served, replaced = peer, 0
+                    self._writer.prepare(peer)
+                elif not self._writer.ready(peer):
+                    self._put_back(picture, replaced)
+                    continue
+                self._stamp_frame(peer, picture, replaced)
+                self._writer.write(peer, self._pixels(picture))
+            self._sending = False
 
     def _put_back(self, picture: CameraFrame, replaced: int) -> None:
         """The station is still busy with the frame before: keep this one unless a newer comes, and look again soon."""
@@ -262,14 +289,15 @@ class Agent:
                 self._replaced += 1
         self._stopping.wait(0.001)
 
-    def _stamp_frame(self, connection: int, picture: CameraFrame, replaced: int) -> None:
+    def _stamp_frame(self, peer: Peer, picture: CameraFrame, replaced: int) -> None:
         """Number the frame and publish its telemetry, so that the station has it before the last byte."""
         with self._lock:
             before = self._stamp
-            same = before is not None and before.connection == connection
-            number = before.number + 1 if before is not None and same else 1
-            dropped = before.dropped + replaced if before is not None and same else replaced
-            self._stamp = FrameStamp(connection=connection, number=number, capture_s=picture.capture_s, dropped=dropped)
+            if before is None or before.connection != peer.number:
+                before = FrameStamp(connection=peer.number, number=0, capture_s=0.0, dropped=0)
+            self._stamp = replace(
+                before, number=before.number + 1, capture_s=picture.capture_s, dropped=before.dropped + replaced
+            )
             self._truth = picture.truth
         self._outlet.publish()
 
@@ -282,72 +310,47 @@ class Agent:
 
     def _read_commands(self) -> None:
         while not self._stopping.is_set():
-            command = self._reader.read(WAIT_S)
-            if command is not None:
-                self._take_command(command)
-
-    def _take_command(self, command: Command) -> None:
-        scale = self._settings.speed_scale
-        with self._lock:
-            self._command = WheelCommand(command.left * scale, command.right * scale, self._clock())
-        self._decide()
+            received = self._reader.read(WAIT_S)
+            if received is not None:
+                self._wheels.take_command(*received)
 
     def _serve_lockstep(self) -> None:
         """One frame, then one command, as listing A.1; begins when both ports are connected."""
-        served = 0
+        served: Peer | None = None
         while not self._stopping.is_set():
-            peer = self._frame_port.wait_for_peer(WAIT_S)
-            if peer is None or self._command_port.wait_for_peer(WAIT_S) is None:
+            watcher, commander = self._frame_port.wait_for_peer(WAIT_S), self._command_port.wait_for_peer(WAIT_S)
+            if watcher is None or commander is None:
+                self._picture_s = time.monotonic()
                 continue
             picture = self._next_picture()
-            if picture is None:
+            if picture is None or self._frame_port.peer is not watcher:
                 continue
-            if self._frame_port.connections != served:
-                served = self._frame_port.connections
-                self._writer.prepare(peer)
-            self._stamp_frame(served, picture, 0)
-            if self._writer.write(peer, self._pixels(picture)):
-                self._await_command()
+            if watcher is not served:
+                served = watcher
+                self._writer.prepare(watcher)
+            self._stamp_frame(watcher, picture, 0)
+            if self._writer.write(watcher, self._pixels(picture)):
+                self._await_command(watcher)
 
-    def _await_command(self) -> None:
-        while not self._stopping.is_set() and self._frame_port.peer and self._command_port.peer:
-            command = self._reader.read(WAIT_S, one=True)
-            if command is not None:
-                self._take_command(command)
-                return
+    def _await_command(self, watcher: Peer) -> None:
+        with self._wheels.awaiting_command():
+            while not self._stopping.is_set() and self._frame_port.peer is watcher and self._command_port.peer:
+                received = self._reader.read(WAIT_S, one=True)
+                if received is not None:
+                    self._wheels.take_command(*received)
+                    return
 
     # -- safety ----------------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
         while not self._stopping.wait(SAFETY_PERIOD_S):
-            self._decide()
-
-    def _decide(self) -> None:
-        """Ask the supervisor and turn the wheels accordingly."""
-        with self._lock:
-            before = self._decision
-            state = self._robot.state()
-            self._decision = self._supervisor.step(self._clock(), self._command, state.proximity, self._link())
-            self._robot.set_wheels(self._decision.left, self._decision.right)
-            after = self._decision
-        if after.state is not before.state:
-            log.info("wheels %s%s", after.state.value, f": {after.reason}" if after.reason else "")
-
-    def _link(self) -> LinkState:
-        connected = self._command_port.peer is not None and (
-            self._frame_port.peer is not None or not self._had_frame_peer
-        )
-        return LinkState(connected=connected, last_frame_s=self._last_frame_s, problem=self._problem)
+            self._wheels.decide()
 
     def _link_changed(self) -> None:
-        """A station came or went. A command never outlives the connection that brought it."""
-        with self._lock:
-            if self._command_port.peer is None:
-                self._command, self._had_frame_peer = None, False
-            if self._frame_port.peer is not None:
-                self._had_frame_peer = True
-                self._camera.begin()
-        self._decide()
+        """A station came or went."""
+        if self._frame_port.peer is not None:
+            self._camera.begin()
+        self._wheels.decide()
 
     # -- hello, control, telemetry ---------------------------------------------------------------------------------
 
@@ -360,9 +363,8 @@ class Agent:
             self._supervisor.emergency_stop(request.text)
         else:
             self._supervisor.release()
-        log.warning("%s", "emergency stop" if request.action == "stop" else "emergency stop released")
-        self._decide()
-        self._outlet.publish()
+            log.warning("emergency stop released")
+        self._wheels.decide()
         return Reply(ok=True)
 
     def _set_exposure(self, exposure_us: float) -> Reply:
@@ -376,6 +378,8 @@ class Agent:
         scenario = self._scenario
         if scenario is not None and self._frame_port.connections:
             scenario = replace(scenario, events=())  # the operator's hand moves once, for the first station
+        if scenario is not None:
+            scenario = _shifted_events(scenario, self._format.first_row)
         capabilities = ["stop"] + (["exposure"] if hasattr(self._camera, "set_exposure") else [])
         return Hello(
             protocol=PROTOCOL_VERSION,
@@ -391,30 +395,40 @@ class Agent:
             intrinsics=_shifted(self._camera.intrinsics, self._format.first_row),
             limits=replace(self._robot.limits, speed_scale=self._settings.speed_scale),
             capabilities=tuple(capabilities),
-            busy_with=self._frame_port.address or self._command_port.address,
+            busy_with=self._station(),
             monotonic_s=self._clock(),
             scenario=scenario,
         )
 
+    def _station(self) -> str | None:
+        peer = self._frame_port.peer or self._command_port.peer
+        return peer.address if peer is not None else None
+
     def _telemetry(self) -> Telemetry:
-        state = self._robot.state()
+        wheels, watcher = self._wheels, self._frame_port.peer
+        decision, state = wheels.decision, wheels.robot_state
         with self._lock:
             self._sequence += 1
+            current = self._stamp is not None and watcher is not None and self._stamp.connection == watcher.number
             return Telemetry(
                 sequence=self._sequence,
                 monotonic_s=self._clock(),
                 wall_s=time.time(),
-                frame=self._stamp,
+                frame=self._stamp if current else None,
                 proximity=state.proximity,
-                wheels_asked=(self._decision.left, self._decision.right),
+                wheels_asked=(decision.left, decision.right),
                 wheels_measured=state.wheels_measured,
-                safety=self._decision.state.value,
-                reason=self._decision.reason,
-                station=self._frame_port.address or self._command_port.address,
+                safety=decision.state.value,
+                reason=decision.reason,
+                station=self._station(),
                 ended=self._ended,
                 cpu_s=time.process_time(),
-                truth=self._truth,
+                truth=self._truth if current else None,
             )
+
+
+def _host_of(port: StationPort) -> str | None:
+    return port.peer.host if port.peer is not None else None
 
 
 def _frame_format(camera: Camera, rows: tuple[int, int] | None) -> FrameFormat:
@@ -439,3 +453,15 @@ def _safety_for(camera: Camera, robot: Robot, settings: SafetySettings) -> Safet
 def _shifted(intrinsics: Intrinsics | None, first_row: int) -> Intrinsics | None:
     """The camera of a band of rows."""
     return None if intrinsics is None else replace(intrinsics, cy=intrinsics.cy - first_row)
+
+
+def _shifted_events(scenario: Scenario, first_row: int) -> Scenario:
+    """The operator's boxes in the band of rows that is sent."""
+
+    def shifted(event: ScenarioEvent) -> ScenarioEvent:
+        if event.box is None:
+            return event
+        x, y, width, height = event.box
+        return replace(event, box=(x, y - first_row, width, height))
+
+    return replace(scenario, events=tuple(shifted(event) for event in scenario.events))

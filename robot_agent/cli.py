@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
+from protocol import FRAME_PORT
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
 from robot_agent.errors import AgentError, UsageError
@@ -19,6 +20,7 @@ from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
 
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -43,6 +45,12 @@ def _positive(text: str) -> float:
     if not 0 < value < 10_000:
         raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
     return value
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r} is no seed; give a whole number below 2147483648")
+    return int(text)
 
 
 def _port(text: str) -> int:
@@ -78,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
     add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
-    add("--port", type=_port, default=31440, metavar="BASE", help="first of the four ports (default: %(default)s)")
+    add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
     add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
     add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
     add("--quiet", action="store_true", help="say only what goes wrong")
@@ -104,12 +112,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         faults = dataclasses.replace(Faults.standard() if options.faults else Faults(), **dict(options.fault))
     except AgentError as error:
         parser.error(str(error))
+    _end_building_on_signals()
     try:
         _serve(options, faults)
+    except KeyboardInterrupt:
+        return EXIT_DONE  # before anything could move
     except AgentError as error:
         print(f"robot-agent: {error}", file=sys.stderr)
         return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
     return EXIT_DONE
+
+
+def _end_building_on_signals() -> None:
+    """Until the agent runs, a signal simply ends the program."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    for number in END_SIGNALS:
+        signal.signal(number, end)
 
 
 def _serve(options: argparse.Namespace, faults: Faults) -> None:
@@ -142,11 +163,10 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         rig.camera.close()
         raise
 
-    def end(signal_number: int, _frame: FrameType | None) -> None:
-        logging.getLogger(__name__).info("%s: stopping the wheels", signal.Signals(signal_number).name)
+    def end(_number: int, _frame: FrameType | None) -> None:
         agent.stop()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in END_SIGNALS:
         signal.signal(number, end)
     logging.getLogger(__name__).info(
         "serving robot %s on %s, ports %d to %d (%s rhythm)",

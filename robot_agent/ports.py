@@ -10,7 +10,9 @@ import random
 import select
 import socket
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from protocol import COMMAND_BYTES, Command, CommandDecoder, TruncatedError
 from robot_agent.access import AllowList
@@ -26,16 +28,38 @@ FLOOD_PAUSE_S = 0.001
 CHUNK_BYTES = 4096
 
 
-class StationPort:
-    """A listening port with one peer at the most. `on_change` is called after a peer came or went, from any thread."""
+@dataclass(frozen=True, eq=False)
+class Peer:
+    """One connection of a station. `number` counts the connections of the port, from 1."""
 
-    def __init__(self, name: str, host: str, port: int, allow: AllowList, on_change: Callable[[], None]) -> None:
+    socket: socket.socket
+    host: str
+    address: str
+    """host:port of its end."""
+    number: int
+
+
+class StationPort:
+    """A listening port with one peer at the most. `on_change` is called after a peer came or went, from any thread.
+
+    `partner_host`: the host that is connected to the other port, if any; a peer from elsewhere is turned away.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        host: str,
+        port: int,
+        *,
+        allow: AllowList,
+        on_change: Callable[[], None],
+        partner_host: Callable[[], str | None],
+    ) -> None:
         self.name = name
         self.connections = 0
         """Peers served so far, the present one included."""
-        self._allow, self._on_change = allow, on_change
-        self._peer: socket.socket | None = None
-        self._address: str | None = None
+        self._allow, self._on_change, self._partner_host = allow, on_change, partner_host
+        self._peer: Peer | None = None
         self._lock = threading.Lock()
         self._came = threading.Condition(self._lock)
         self._listener = _listen(host, port)
@@ -46,29 +70,26 @@ class StationPort:
         self._thread.start()
 
     @property
-    def peer(self) -> socket.socket | None:
+    def peer(self) -> Peer | None:
+        """The station that is connected."""
         return self._peer
 
-    @property
-    def address(self) -> str | None:
-        """host:port of the peer, None without one."""
-        return self._address
-
-    def wait_for_peer(self, timeout_s: float) -> socket.socket | None:
+    def wait_for_peer(self, timeout_s: float) -> Peer | None:
+        """The peer, waiting for one if need be."""
         with self._came:
             self._came.wait_for(lambda: self._peer is not None, timeout_s)
             return self._peer
 
-    def drop(self, peer: socket.socket, why: str) -> None:
+    def drop(self, peer: Peer, why: str) -> None:
         """Let this peer go, if it still is the present one."""
         with self._lock:
             if self._peer is not peer:
                 return
-            log.info("%s: %s is gone (%s)", self.name, self._address, why)
-            self._peer, self._address = None, None
+            log.info("%s: %s is gone (%s)", self.name, peer.address, why)
+            self._peer = None
         with contextlib.suppress(OSError):
-            peer.shutdown(socket.SHUT_RDWR)
-        peer.close()
+            peer.socket.shutdown(socket.SHUT_RDWR)
+        peer.socket.close()
         self._on_change()
 
     def drop_if_gone(self) -> None:
@@ -79,7 +100,7 @@ class StationPort:
             return
         watch = select.poll()
         try:
-            watch.register(peer, select.POLLRDHUP)
+            watch.register(peer.socket, select.POLLRDHUP)
         except ValueError:
             return  # closed by another thread just now
         if watch.poll(0):
@@ -95,27 +116,35 @@ class StationPort:
     def _accept(self) -> None:
         while True:
             try:
-                peer, (host, port, *_) = self._listener.accept()
+                connection, (host, port, *_) = self._listener.accept()
             except OSError:
                 return  # the listener was closed: the agent ends
-            self._admit(peer, host, f"{host}:{port}")
+            why_not = self._admit(connection, host, f"{host}:{port}")
+            if why_not:
+                log.warning("%s: %s:%d turned away: %s", self.name, host, port, why_not)
+                connection.close()
+            else:
+                self._on_change()
 
-    def _admit(self, peer: socket.socket, host: str, address: str) -> None:
+    def _admit(self, connection: socket.socket, host: str, address: str) -> str:
+        """Take this station in. Returns why not, in words; empty when it was."""
         if not self._allow.permits(host):
-            log.warning("%s: %s turned away: not in --allow", self.name, address)
-            peer.close()
-            return
+            return "not in --allow"
+        partner_host = self._partner_host()
+        if partner_host not in (None, host):
+            return f"busy with a station on {partner_host}"
         with self._came:
             if self._peer is not None:
-                log.warning("%s: second station %s turned away: busy with %s", self.name, address, self._address)
-                peer.close()
-                return
-            _tune(peer)
+                return f"second station, busy with {self._peer.address}"
+            try:
+                _tune(connection)
+            except OSError as error:
+                return f"it went at once ({error})"
             self.connections += 1
-            self._peer, self._address = peer, address
+            self._peer = Peer(connection, host, address, self.connections)
             log.info("%s: %s connected", self.name, address)
             self._came.notify_all()
-        self._on_change()
+        return ""
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -151,30 +180,30 @@ class FrameWriter:
     def __init__(self, port: StationPort, frame_bytes: int, running: Callable[[], bool]) -> None:
         self._port, self._frame_bytes, self._running = port, frame_bytes, running
 
-    def ready(self, peer: socket.socket) -> bool:
+    def ready(self, peer: Peer) -> bool:
         """Whether the frame before has left for the station."""
         unsent = array.array("i", [0])
         try:
-            fcntl.ioctl(peer.fileno(), SIOCOUTQNSD, unsent)
+            fcntl.ioctl(peer.socket.fileno(), SIOCOUTQNSD, unsent)
         except (OSError, ValueError):
             return True  # closed meanwhile; the write that follows tells
         return unsent[0] == 0
 
-    def prepare(self, peer: socket.socket) -> None:
+    def prepare(self, peer: Peer) -> None:
         """Keep the kernel's buffer to about one frame (Linux doubles the figure for its own use)."""
         with contextlib.suppress(OSError):
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(self._frame_bytes // 2, CHUNK_BYTES))
+            peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(self._frame_bytes // 2, CHUNK_BYTES))
 
-    def write(self, peer: socket.socket, frame: memoryview) -> bool:
+    def write(self, peer: Peer, frame: memoryview) -> bool:
         """Send it all. False when the peer went; it is dropped then."""
         while frame:
             try:
-                frame = frame[peer.send(frame) :]
+                frame = frame[peer.socket.send(frame) :]
             except BlockingIOError:
                 if not self._running() or self._port.peer is not peer:
                     return False
                 with contextlib.suppress(OSError, ValueError):  # closed meanwhile; the next write tells
-                    select.select([], [peer], [], 0.1)
+                    select.select([], [peer.socket], [], 0.1)
             except OSError as error:
                 self._port.drop(peer, str(error))
                 return False
@@ -187,20 +216,23 @@ class CommandReader:
     def __init__(self, port: StationPort) -> None:
         self._port = port
         self._decoder = CommandDecoder()
-        self._peer: socket.socket | None = None
+        self._peer: Peer | None = None
 
-    def read(self, timeout_s: float, *, one: bool = False) -> Command | None:
-        """Wait for a command. `one`: take the next in line and leave later ones for later calls (lockstep)."""
+    def read(self, timeout_s: float, *, one: bool = False) -> tuple[Command, Peer] | None:
+        """Wait for a command; returns it with the peer that sent it, None when none came in time.
+
+        `one`: take the next in line and leave later ones for later calls (lockstep).
+        """
         peer = self._port.wait_for_peer(timeout_s)
         if peer is None:
             return None
         if peer is not self._peer:
             self._peer, self._decoder = peer, CommandDecoder()
         try:
-            readable, _, _ = select.select([peer], [], [], timeout_s)
+            readable, _, _ = select.select([peer.socket], [], [], timeout_s)
             if not readable:
                 return None
-            data = peer.recv(COMMAND_BYTES - self._decoder.pending if one else CHUNK_BYTES)
+            data = peer.socket.recv(COMMAND_BYTES - self._decoder.pending if one else CHUNK_BYTES)
         except BlockingIOError:
             return None
         except (OSError, ValueError) as error:
@@ -210,10 +242,11 @@ class CommandReader:
             self._end(peer)
             return None
         if len(data) == CHUNK_BYTES:
-            threading.Event().wait(FLOOD_PAUSE_S)  # a flood must not starve the camera's thread
-        return self._decoder.feed(data)
+            time.sleep(FLOOD_PAUSE_S)  # a flood must not starve the camera's thread
+        command = self._decoder.feed(data)
+        return None if command is None else (command, peer)
 
-    def _end(self, peer: socket.socket) -> None:
+    def _end(self, peer: Peer) -> None:
         why = "it closed the connection"
         try:
             self._decoder.end()

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from base_station.station import Step
-from base_station.types import TrackingState
+from base_station.types import TrackerResult, TrackingState
 from protocol import Telemetry, Truth
 
 SETTLING_S = 5.0
@@ -45,6 +46,10 @@ class Summary:
     station_cpu_s: float
     tracking_share: float | None
     """Frames in state TRACKING of those after learning with the picture in view."""
+    shadow_tracker: str | None
+    shadow_tracking_share: float | None
+    shadow_bearing_estimate_error_deg_rms: float | None
+    """The second tracker, which saw the same frames."""
     bearing_error_deg_rms: float | None
     """True bearing of the picture's centre from the optical axis: how well it follows."""
     bearing_estimate_error_deg_rms: float | None
@@ -64,29 +69,46 @@ class Summary:
 
 
 @dataclass(frozen=True)
+class _Seen:
+    """What a frame showed, and when."""
+
+    key: tuple[str, int]
+    """Connection and number."""
+    time_s: float
+    result: TrackerResult
+    shadow: TrackerResult | None
+
+
+@dataclass(frozen=True)
 class _Row:
     """One frame after learning, with its truth."""
 
-    time_s: float
-    tracking: bool
-    reason: str
-    bearing_estimate_rad: float | None
+    seen: _Seen
     truth: Truth
+
+    @property
+    def time_s(self) -> float:
+        return self.seen.time_s
+
+    @property
+    def tracking(self) -> bool:
+        return self.seen.result.state is TrackingState.TRACKING
 
 
 class LoopLog:
     """Collects steps and telemetry while a run goes on (from two threads), and sums them up."""
 
-    def __init__(self, *, tracker: str, behaviour: str) -> None:
-        self._tracker, self._behaviour = tracker, behaviour
+    def __init__(self, *, tracker: str, behaviour: str, shadow: str | None = None) -> None:
+        self._tracker, self._behaviour, self._shadow = tracker, behaviour, shadow
         self._lock = threading.Lock()
         self._truths: dict[tuple[str, int], Truth] = {}
-        self._steps: list[tuple[str, int, float, TrackingState, str, float | None]] = []
+        self._steps: list[_Seen] = []
         self._learned_key: tuple[str, int] | None = None
         self._learned_at = 0
         self._tracker_s: list[float] = []
         self._delays_s: list[float] = []
         self._walls_s: list[float] = []
+        self._dropped: int | None = None
         self._first_telemetry: Telemetry | None = None
         self._last_telemetry: Telemetry | None = None
         self._cpu_zero_s = time.process_time()
@@ -98,6 +120,8 @@ class LoopLog:
                 self._first_telemetry = telemetry
             self._last_telemetry = telemetry
             stamp = telemetry.frame
+            if stamp is not None:
+                self._dropped = stamp.dropped
             if telemetry.truth is not None and stamp is not None and telemetry.station is not None:
                 self._truths.setdefault((telemetry.station, stamp.number), telemetry.truth)
 
@@ -106,12 +130,10 @@ class LoopLog:
         if not self._walls_s:
             self._cpu_zero_s = time.process_time()
         self._walls_s.append(time.monotonic())
-        frame, result = step.frame, step.result
+        key = (step.frame.connection, step.frame.number)
         if step.learned and self._learned_key is None:
-            self._learned_key, self._learned_at = (frame.connection, frame.number), len(self._steps)
-        self._steps.append(
-            (frame.connection, frame.number, frame.time_s, result.state, result.reason, result.bearing_rad)
-        )
+            self._learned_key, self._learned_at = key, len(self._steps)
+        self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow))
         if step.learned:
             return  # learning is no tracking, its time would hide that of the frames
         self._tracker_s.append(step.tracker_s)
@@ -121,7 +143,7 @@ class LoopLog:
     def wait_for_truth(self, timeout_s: float = 0.5) -> None:
         """Telemetry may come after its frame: wait for that of the last one."""
         deadline_s = time.monotonic() + timeout_s
-        while self._truths and self._steps and self._steps[-1][:2] not in self._truths:
+        while self._truths and self._steps and self._steps[-1].key not in self._truths:
             if time.monotonic() > deadline_s:
                 return
             time.sleep(0.005)
@@ -129,8 +151,8 @@ class LoopLog:
     def truths(self) -> list[tuple[float, Truth]]:
         """(time in s since the first frame, truth) of the frames seen, for plots."""
         with self._lock:
-            zero_s = self._steps[0][2] if self._steps else 0.0
-            return [(step[2] - zero_s, self._truths[step[:2]]) for step in self._steps if step[:2] in self._truths]
+            zero_s = self._steps[0].time_s if self._steps else 0.0
+            return [(seen.time_s - zero_s, self._truths[seen.key]) for seen in self._steps if seen.key in self._truths]
 
     def summary(self, *, scenario: str | None, seed: int | None, rhythm: str | None) -> Summary:
         """Sum up. Call after the run."""
@@ -138,7 +160,7 @@ class LoopLog:
             rows = self._rows()
         learned = self._truths.get(self._learned_key) if self._learned_key else None
         first, last = self._first_telemetry, self._last_telemetry
-        times_s = [step[2] for step in self._steps]
+        times_s = [seen.time_s for seen in self._steps]
         wall_s = self._walls_s[-1] - self._walls_s[0] if len(self._walls_s) > 1 else 0.0
         zero_s = times_s[0] if times_s else 0.0
         settled = [row for row in rows if row.time_s - zero_s >= SETTLING_S]
@@ -153,16 +175,19 @@ class LoopLog:
             rhythm=rhythm,
             duration_s=_rounded(times_s[-1] - zero_s if times_s else 0.0) or 0.0,
             frames=len(self._steps),
-            frames_dropped=last.frame.dropped if last is not None and last.frame is not None else None,
+            frames_dropped=self._dropped,
             loop_hz=_rounded((len(self._walls_s) - 1) / wall_s) if wall_s > 0 else None,
             tracker_ms_p50=_quantile_ms(self._tracker_s, 50),
             frame_to_command_ms_p50=_quantile_ms(self._delays_s, 50),
             frame_to_command_ms_p95=_quantile_ms(self._delays_s, 95),
             agent_cpu_s=_rounded(last.cpu_s - first.cpu_s) if first is not None and last is not None else None,
             station_cpu_s=_rounded(time.process_time() - self._cpu_zero_s) or 0.0,
-            tracking_share=_tracking_share(rows),
+            tracking_share=_tracking_share(rows, _steering),
+            shadow_tracker=self._shadow,
+            shadow_tracking_share=_tracking_share(rows, _shadow),
+            shadow_bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled, _shadow)),
             bearing_error_deg_rms=_rms(_true_bearings_deg(settled)) if learned_range_m else None,
-            bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled)),
+            bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled, _steering)),
             distance_error_rel_rms=_rms(_distance_errors(settled, learned_range_m)),
             final_distance_error_m=_mean_abs(_distance_errors(final, learned_range_m), learned_range_m),
             final_bearing_error_deg=_mean_abs(_true_bearings_deg(final)) if learned_range_m else None,
@@ -175,11 +200,8 @@ class LoopLog:
     def _rows(self) -> list[_Row]:
         if self._learned_key is None:
             return []
-        return [
-            _Row(time_s, state is TrackingState.TRACKING, reason, bearing_rad, self._truths[connection, number])
-            for connection, number, time_s, state, reason, bearing_rad in self._steps[self._learned_at :]
-            if (connection, number) in self._truths
-        ]
+        after = self._steps[self._learned_at :]
+        return [_Row(seen, self._truths[seen.key]) for seen in after if seen.key in self._truths]
 
 
 def _rounded(value: float | None) -> float | None:
@@ -198,20 +220,34 @@ def _mean_abs(values: list[float], scale: float | None = 1.0) -> float | None:
     return _rounded(float(np.mean(np.abs(values))) * scale) if values and scale else None
 
 
-def _tracking_share(rows: list[_Row]) -> float | None:
-    in_view = [row.tracking for row in rows if row.truth.in_view]
-    return _rounded(float(np.mean(in_view))) if in_view else None
+def _steering(row: _Row) -> TrackerResult | None:
+    return row.seen.result
+
+
+def _shadow(row: _Row) -> TrackerResult | None:
+    return row.seen.shadow
+
+
+Which = Callable[[_Row], TrackerResult | None]
+"""Whose result of a row is meant."""
+
+
+def _tracking_share(rows: list[_Row], which: Which) -> float | None:
+    results = [which(row) for row in rows if row.truth.in_view]
+    tracked = [result.state is TrackingState.TRACKING for result in results if result is not None]
+    return _rounded(float(np.mean(tracked))) if tracked else None
 
 
 def _true_bearings_deg(rows: list[_Row]) -> list[float]:
     return [math.degrees(row.truth.bearing_rad) for row in rows if row.truth.bearing_rad is not None]
 
 
-def _estimate_errors_deg(rows: list[_Row]) -> list[float]:
+def _estimate_errors_deg(rows: list[_Row], which: Which) -> list[float]:
+    pairs = [(result.bearing_rad, row.truth.bearing_rad) for row in rows if (result := which(row)) is not None]
     return [
-        math.degrees(math.remainder(row.bearing_estimate_rad - row.truth.bearing_rad, 2 * math.pi))
-        for row in rows
-        if row.bearing_estimate_rad is not None and row.truth.bearing_rad is not None
+        math.degrees(math.remainder(seen - true, 2 * math.pi))
+        for seen, true in pairs
+        if seen is not None and true is not None
     ]
 
 
@@ -248,4 +284,4 @@ def _lost_said(rows: list[_Row]) -> tuple[float | None, str | None]:
     lost = next((row for row in rows[last_seen + 1 :] if not row.tracking), None)
     if lost is None:
         return None, None
-    return _rounded(lost.time_s - rows[last_seen].time_s), lost.reason
+    return _rounded(lost.time_s - rows[last_seen].time_s), lost.seen.result.reason

@@ -74,7 +74,8 @@ class RunPicture:
             _text(panel, "no frame came", (MARGIN, PANEL_H // 2))
             return
         scale = min(PANEL_W / self._view.shape[1], PANEL_H / self._view.shape[0])
-        view = cv2.resize(cv2.cvtColor(self._view, cv2.COLOR_GRAY2BGR), None, fx=scale, fy=scale)
+        size = (max(1, round(self._view.shape[1] * scale)), max(1, round(self._view.shape[0] * scale)))
+        view = cv2.resize(cv2.cvtColor(self._view, cv2.COLOR_GRAY2BGR), size)
         box = self._result.box
         color = GREEN if self._result.state is TrackingState.TRACKING else RED
         if box is not None:

@@ -25,20 +25,23 @@ def list_images(folder: Path) -> list[RecordedImage]:
     TUM: `rgb.txt` with lines "time file". EuRoC: `mav0/cam0/data.csv` (or `cam0/data.csv`, `data.csv`) with lines
     "nanoseconds,file" and the files in `data/`. OTB: pictures in `img/`. Else: the folder's own pictures by name.
     """
-    if (folder / "rgb.txt").is_file():
-        images = _tum(folder)
-    elif (table := _euroc_table(folder)) is not None:
-        images = _euroc(table)
-    else:
-        inner = folder / "img"
-        images = [
-            RecordedImage(path, None)
-            for path in sorted((inner if inner.is_dir() else folder).iterdir())
-            if path.suffix.lower() in SUFFIXES
-        ]
+    try:
+        images = _listed(folder)
+    except OSError as error:
+        raise CameraError(f"{folder} cannot be read ({error.strerror}).") from error
     if not images:
         raise CameraError(f"No pictures in {folder}: it must hold jpg or png files, or a TUM or EuRoC layout.")
     return images
+
+
+def _listed(folder: Path) -> list[RecordedImage]:
+    if (folder / "rgb.txt").is_file():
+        return _tum(folder)
+    if (table := _euroc_table(folder)) is not None:
+        return _euroc(table)
+    inner = folder / "img"
+    paths = sorted((inner if inner.is_dir() else folder).iterdir())
+    return [RecordedImage(path, None) for path in paths if path.suffix.lower() in SUFFIXES]
 
 
 def _euroc_table(folder: Path) -> Path | None:

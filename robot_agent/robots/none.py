@@ -7,7 +7,7 @@ from robot_agent.robots.base import RobotState
 
 
 class NoRobot:
-    """Remembers what it was asked, so that telemetry can show it; has no sensors."""
+    """Obeys nothing and has no sensors; telemetry still shows what it was asked."""
 
     kind = "none"
     limits = RobotLimits()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from protocol import RobotLimits, Truth
+from protocol import RobotLimits
 from robot_agent.robots.base import RobotState
 from robot_agent.sim import World
 
@@ -23,10 +23,6 @@ class SimRobot:
     def state(self) -> RobotState:
         """Proximity and measured wheel speeds."""
         return self._world.state()
-
-    def truth(self) -> Truth:
-        """Where things were when the newest frame was taken."""
-        return self._world.truth()
 
     def close(self) -> None:
         """Stop the wheels. The world stays with whoever made it."""

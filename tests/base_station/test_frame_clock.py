@@ -19,7 +19,6 @@ def key(number: int) -> tuple[str, int]:
 def test_without_telemetry_a_frame_was_taken_when_it_arrived():
     clock = FrameClock()
     assert clock.time_s(key(1), 7.25) == 7.25
-    assert not clock.uses_capture_times
 
 
 def test_the_smallest_delay_sets_the_offset_so_jitter_on_the_way_does_not_reach_the_times():
@@ -31,7 +30,6 @@ def test_the_smallest_delay_sets_the_offset_so_jitter_on_the_way_does_not_reach_
         arrival_s = 1000.0 + capture_s + 0.005 + (0.0 if number == 5 else rng.uniform(0.001, 0.040))
         clock.note(key(number), capture_s)
         times_s.append(clock.time_s(key(number), arrival_s))
-        assert clock.uses_capture_times
     steps_s = [after - before for before, after in itertools.pairwise(times_s[5:])]
     assert min(steps_s) == pytest.approx(1 / 30, abs=1e-9)
     assert max(steps_s) == pytest.approx(1 / 30, abs=1e-9)
@@ -66,20 +64,26 @@ def test_a_frame_whose_telemetry_was_lost_gets_its_arrival_time_and_the_next_one
     clock.note(key(3), 1.2)
     assert clock.time_s(key(1), 101.0) == 101.0
     assert clock.time_s(key(2), 101.15) == 101.15
-    assert not clock.uses_capture_times
     assert clock.time_s(key(3), 101.25) == pytest.approx(101.2)
-    assert clock.uses_capture_times
 
 
 def test_the_same_number_of_another_connection_is_another_frame():
     clock = FrameClock()
     clock.note(("127.0.0.1:5001", 1), 1.0)
     assert clock.time_s(("127.0.0.1:5000", 1), 50.0) == 50.0
-    assert not clock.uses_capture_times
+
+
+PERIOD_S = 1 / 30
+
+
+def lockstep_clock(wait_s: float = 0.0) -> FrameClock:
+    clock = FrameClock()
+    clock.begin(stepped_period_s=PERIOD_S, wait_s=wait_s)
+    return clock
 
 
 def test_in_lockstep_the_agents_own_times_count():
-    clock = FrameClock(stepped=True)
+    clock = lockstep_clock()
     clock.note(key(1), 0.1)
     clock.note(key(2), 0.1333)
     assert clock.time_s(key(1), 5000.0) == 0.1
@@ -87,25 +91,40 @@ def test_in_lockstep_the_agents_own_times_count():
 
 
 def test_in_lockstep_a_frame_waits_for_its_telemetry():
-    clock = FrameClock(stepped=True, wait_s=5.0)
+    clock = lockstep_clock(wait_s=5.0)
     threading.Timer(0.05, clock.note, (key(1), 0.1)).start()
     begun_s = time.monotonic()
     assert clock.time_s(key(1), 5000.0) == 0.1
     assert 0.03 < time.monotonic() - begun_s < 2.0
 
 
-def test_the_wait_has_an_end():
-    clock = FrameClock(stepped=True, wait_s=0.05)
+def test_the_wait_has_an_end_and_a_frame_without_telemetry_is_a_period_after_the_one_before():
+    """Never the arrival time, which is on another clock: time would then stand still for the rest of the run."""
+    clock = lockstep_clock(wait_s=0.05)
+    clock.note(key(1), 3.0)
+    assert clock.time_s(key(1), 90000.0) == 3.0
     begun_s = time.monotonic()
-    assert clock.time_s(key(1), 5000.0) == 5000.0
+    assert clock.time_s(key(2), 90000.1) == pytest.approx(3.0 + PERIOD_S)
     assert 0.045 < time.monotonic() - begun_s < 2.0
+    clock.note(key(3), 3.0 + 2 * PERIOD_S)
+    assert clock.time_s(key(3), 90000.2) == pytest.approx(3.0 + 2 * PERIOD_S)
+
+
+def test_in_lockstep_time_goes_on_when_an_agent_starts_again_with_its_clock_at_zero():
+    clock = lockstep_clock()
+    clock.note(("first", 1), 1000.0)
+    clock.note(("second", 1), 0.5)
+    clock.note(("second", 2), 0.5 + PERIOD_S)
+    assert clock.time_s(("first", 1), 1.0) == 1000.0
+    clock.begin(stepped_period_s=PERIOD_S)
+    assert clock.time_s(("second", 1), 2.0) == pytest.approx(1000.0 + PERIOD_S)
+    assert clock.time_s(("second", 2), 2.1) == pytest.approx(1000.0 + 2 * PERIOD_S)
 
 
 def test_captures_that_no_frame_asks_for_are_forgotten_oldest_first():
-    clock = FrameClock(stepped=True)
+    clock = FrameClock()
     for number in range(KEPT + 1):
         clock.note(key(number), float(number))
-    assert clock.time_s(key(1), 0.5) == 1.0
-    assert clock.uses_capture_times
-    assert clock.time_s(key(0), 9.0) == 9.0
-    assert not clock.uses_capture_times
+    assert clock.time_s(key(0), 50.0) == 50.0, "forgotten: the arrival time"
+    assert clock.time_s(key(1), 61.0) == 61.0
+    assert clock.time_s(key(2), 99.0) == 62.0, "remembered: the capture time, brought to this clock"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,7 +88,9 @@ def test_shadow_tracker_leaves_the_drive_as_it_is(programs: Programs, leader_run
     """--shadow phase: a second tracker on the same frames changes nothing in what the first one does."""
     both = run_leader(programs, tmp_path / "both.json", "--shadow", "phase")
 
-    assert compared(both) == compared(leader_run)
+    shadows = {name for name in both if name.startswith("shadow")}
+    assert shadows and both["shadow_tracker"] == "phase" and both["shadow_tracking_share"] > 0.9
+    assert {**compared(both), **dict.fromkeys(shadows)} == compared(leader_run)
 
 
 def test_free_rhythm_follows_at_the_cameras_rate(
@@ -107,11 +110,8 @@ def test_free_rhythm_follows_at_the_cameras_rate(
     assert told["bearing_error_deg_rms"] <= 3.0
     assert told["collisions"] == 0
     telemetry.wait_for(standing, 2.0, since_s=driven.monotonic_s + 6, what="standing wheels at the end")
-    assert telemetry.last is not None and telemetry.last.truth is not None and driven.truth is not None
-    moved_m = abs(telemetry.last.truth.robot[0] - driven.truth.robot[0]) + abs(
-        telemetry.last.truth.robot[1] - driven.truth.robot[1]
-    )
-    assert moved_m > 0.05, "the robot went nowhere"
+    places = [message.truth.robot[:2] for message in telemetry.messages if message.truth is not None]
+    assert math.dist(places[0], places[-1]) > 0.05, "the robot went nowhere"
 
 
 def test_unknown_shadow_is_wrong_usage(programs: Programs, port: int) -> None:

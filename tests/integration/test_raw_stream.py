@@ -116,7 +116,7 @@ def test_numbers_begin_anew_with_each_connection(
             for _ in range(5):
                 station.read_frame()
         telemetry.wait_for(
-            lambda message: message.station is None and message.frame is not None,
+            lambda message: message.station is None and message.frame is None,
             since_s=time.monotonic(),
             what="no station",
         )

@@ -78,7 +78,7 @@ def test_second_station_is_turned_away(
         assert operator.hello().busy_with == first.address
         with connect(port) as frames, connect(port + 1) as commands:
             assert closed_by_peer(frames) and closed_by_peer(commands)
-        agent.says("turned away: busy with " + first.address)
+        agent.says("turned away: second station, busy with " + first.address)
         for number in range(5):
             first.send(number, number)
             first.read_frame()
