@@ -14,8 +14,8 @@ from protocol import FRAME_PORT
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
 from robot_agent.errors import AgentError, UsageError
-from robot_agent.rig import CAMERAS, ROBOTS, RigOptions, build_rig
-from robot_agent.safety import PRESETS
+from robot_agent.rig import BUSES, CAMERAS, ROBOTS, RigOptions, build_rig
+from robot_agent.safety import PRESETS, SafetySettings
 from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
 
@@ -89,8 +89,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
     add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
     add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
+    add("--no-edge-stop", action="store_true", help="do not stop at a table's edge (dark floors look like one)")
+    add("--no-tilt-stop", action="store_true", help="do not stop when picked up or tilted")
     add("--quiet", action="store_true", help="say only what goes wrong")
     add("--version", action="version", version=f"robot-agent {__version__}")
+    thymio = parser.add_argument_group("thymio")
+    thymio.add_argument("--bus", choices=BUSES, default="session", help="D-Bus bus of asebamedulla (default: session)")
+    thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
     simulation = parser.add_argument_group("simulation")
     simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
     simulation.add_argument("--seed", type=int, default=0, help="of textures, courses, noise (default: %(default)s)")
@@ -123,6 +128,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_DONE
 
 
+def _safety(options: argparse.Namespace) -> SafetySettings:
+    settings = PRESETS[options.safety]
+    if options.no_edge_stop:
+        settings = dataclasses.replace(settings, edge=None)
+    if options.no_tilt_stop:
+        settings = dataclasses.replace(settings, tilt_rad=None)
+    return settings
+
+
 def _end_building_on_signals() -> None:
     """Until the agent runs, a signal simply ends the program."""
 
@@ -141,6 +155,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
             source=options.source,
             size=options.size,
             fps=options.fps,
+            bus=options.bus,
+            node=options.node,
             lockstep=options.rhythm == "lockstep",
             scenario=options.scenario,
             seed=options.seed,
@@ -154,7 +170,7 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         rhythm=options.rhythm,
         rows=options.rows,
         speed_scale=options.speed_scale,
-        safety=PRESETS[options.safety],
+        safety=_safety(options),
     )
     try:
         agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)

@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 
 from protocol import Scenario
 from robot_agent.cameras.base import Camera
-from robot_agent.errors import UsageError
+from robot_agent.errors import AgentError, UsageError
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
 from robot_agent.sim.faults import Faults
 
 CAMERAS = ("usb", "picamera2", "replay", "sim")
-ROBOTS = ("sim", "none")
+ROBOTS = ("sim", "thymio", "none")
+BUSES = ("session", "system")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,9 @@ class RigOptions:
     """Width and height of the picture in px; None: 640x480, or the recording's own."""
     fps: float | None = None
     """None: 30, or the recording's own times."""
+    bus: str = "session"
+    node: str = "thymio-II"
+    """The Thymio's D-Bus bus, and its name in the Aseba network."""
     lockstep: bool = False
     scenario: str = "leader"
     seed: int = 0
@@ -55,7 +59,20 @@ def build_rig(options: RigOptions) -> Rig:
                 f"not --robot {options.robot} with --camera {options.camera}."
             )
         return _simulation(options)
-    return Rig(camera=_open_camera(options), robot=NoRobot())
+    camera = _open_camera(options)
+    try:
+        return Rig(camera=camera, robot=_open_robot(options))
+    except AgentError:
+        camera.close()
+        raise
+
+
+def _open_robot(options: RigOptions) -> Robot:
+    if options.robot == "thymio":
+        from robot_agent.robots.thymio import ThymioRobot
+
+        return ThymioRobot(bus=options.bus, node=options.node)
+    return NoRobot()
 
 
 def _open_camera(options: RigOptions) -> Camera:

@@ -33,6 +33,10 @@ class SafetySettings:
     """No picture from the camera for longer than this: stop, the station drives blind."""
     obstacle: int = 2000
     """A proximity reading above this is an obstacle (Thymio II: about 4500 at contact, 0 beyond some 12 cm)."""
+    edge: int | None = 100
+    """A ground reading below this is a table's edge (Thymio II: about 900 over a light floor); None: do not look."""
+    tilt_rad: float | None = 0.45
+    """A robot tilted further than this was picked up or is falling; None: do not look."""
     limit_units: int = 500
     """Largest wheel speed, motor units."""
     thesis_rule: bool = False
@@ -86,19 +90,44 @@ class SafetySupervisor:
         """End the emergency stop. The next command moves the wheels again."""
         self._emergency = None
 
+    @property
+    def emergency(self) -> bool:
+        """Whether the emergency stop is latched."""
+        return self._emergency is not None
+
     def step(
-        self, now_s: float, command: WheelCommand | None, proximity: tuple[int, ...] | None, link: LinkState
+        self,
+        now_s: float,
+        command: WheelCommand | None,
+        proximity: tuple[int, ...] | None,
+        link: LinkState,
+        *,
+        ground: tuple[int, int] | None = None,
+        acceleration: tuple[int, int, int] | None = None,
     ) -> Decision:
-        """Decide. `proximity`: seven readings, five in front and two behind, or None for a robot without them.
+        """Decide. `proximity`: seven readings, five in front and two behind, or None for a robot without them;
+        `ground` and `acceleration` likewise, as in RobotState.
 
         The same arguments give the same decision, however often it is asked.
         """
-        reason = self._why_stop(now_s, command, proximity, link)
+        reason = self._why_stop(now_s, command, proximity, link) or self._why_not_upright(acceleration)
         if reason or command is None:
             return Decision(0, 0, SafetyState.STOPPED, reason)
+        if ground is not None and self.settings.edge is not None and min(ground) < self.settings.edge:
+            mean, half_turn = (command.left + command.right) / 2, (command.right - command.left) / 2
+            if mean > 0:
+                return self._clamped(-half_turn, half_turn, SafetyState.LIMITED, "an edge in front")
         if proximity is not None:
             return self._around_obstacles(command, proximity)
         return self._clamped(command.left, command.right, SafetyState.OK, "")
+
+    def _why_not_upright(self, acceleration: tuple[int, int, int] | None) -> str:
+        """A robot at rest or driving feels gravity only, from below. All zeros is no accelerometer (the playground)."""
+        if self.settings.tilt_rad is None or acceleration is None or not any(acceleration):
+            return ""
+        right, forward, up = acceleration
+        tilt_rad = math.atan2(math.hypot(right, forward), up)
+        return f"picked up: tilted by {math.degrees(tilt_rad):.0f} degrees" if tilt_rad > self.settings.tilt_rad else ""
 
     def _why_stop(
         self, now_s: float, command: WheelCommand | None, proximity: tuple[int, ...] | None, link: LinkState

@@ -52,6 +52,7 @@ class Wheels:
         self._accompanied: Peer | None = None
         self._last_frame_s: float | None = None
         self._awaiting = False
+        self._button_was_pressed = False
         self._problem = ""
         self._camera_problem = ""
 
@@ -94,9 +95,15 @@ class Wheels:
         with self._lock:
             before = self.decision
             try:
-                self.robot_state = self._robot.state()
+                self.robot_state = state = self._robot.state()
+                self._obey_button(state.button)
                 self.decision = self._supervisor.step(
-                    self._clock(), self._valid_command(), self.robot_state.proximity, self._link()
+                    self._clock(),
+                    self._valid_command(),
+                    state.proximity,
+                    self._link(),
+                    ground=state.ground,
+                    acceleration=state.acceleration,
                 )
                 self._robot.set_wheels(self.decision.left, self.decision.right)
             except Exception as error:
@@ -105,6 +112,15 @@ class Wheels:
         if (after.state, _kind(after.reason)) != (before.state, _kind(before.reason)):
             log.info("wheels %s%s", after.state.value, f": {after.reason}" if after.reason else "")
             self._on_change()
+
+    def _obey_button(self, pressed: bool) -> None:
+        """The robot's own button: once stops, once more releases."""
+        if pressed and not self._button_was_pressed:
+            if self._supervisor.emergency:
+                self._supervisor.release()
+            else:
+                self._supervisor.emergency_stop("the robot's button")
+        self._button_was_pressed = pressed
 
     def _robot_failed(self, error: Exception) -> None:
         self.robot_failure = f"the robot failed ({type(error).__name__}: {error})"
@@ -124,7 +140,7 @@ class Wheels:
         return LinkState(
             connected=connected,
             last_frame_s=self._clock() if self._awaiting else self._last_frame_s,
-            problem=self._problem or self._camera_problem,
+            problem=self._problem or self._camera_problem or self.robot_state.problem,
         )
 
 

@@ -10,12 +10,20 @@ from protocol import RobotLimits
 
 @dataclass(frozen=True, kw_only=True)
 class RobotState:
-    """The newest measurements. `proximity`: five front sensors left to right, two rear, 0 far and about 4500 at
-    contact, None when the robot has none. `wheels_measured`: left, right in motor units, None when not measured.
-    """
+    """The newest measurements. What the robot has not, or has not told lately, is None."""
 
     proximity: tuple[int, ...] | None = None
+    """Five front sensors left to right, two rear; 0 far and about 4500 at contact."""
+    ground: tuple[int, int] | None = None
+    """Light reflected from the floor below the front, left and right; small over an edge."""
+    acceleration: tuple[int, int, int] | None = None
+    """Right, forward, up, in units of which 23 are 1 g."""
+    button: bool = False
+    """The robot's own stop button is held."""
     wheels_measured: tuple[int, int] | None = None
+    """Left, right in motor units."""
+    problem: str = ""
+    """Why the robot cannot be driven just now (it is away), in words; empty when it can."""
 
 
 class Robot(Protocol):
