@@ -14,7 +14,7 @@ from protocol import FRAME_PORT
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
 from robot_agent.errors import AgentError, UsageError
-from robot_agent.rig import BUSES, CAMERAS, ROBOTS, RigOptions, build_rig
+from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS, SafetySettings
 from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
@@ -78,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
-    add("--camera", choices=CAMERAS, help="where pictures come from (default: sim with --robot sim, else usb)")
+    add("--camera", choices=CAMERAS, help="where pictures come from (default: a simulated robot's own, else usb)")
     add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
     add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
     add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
@@ -151,7 +151,7 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
     rig = build_rig(
         RigOptions(
             robot=options.robot,
-            camera=options.camera or ("sim" if options.robot == "sim" else "usb"),
+            camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
             source=options.source,
             size=options.size,
             fps=options.fps,

@@ -13,8 +13,10 @@ from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
 from robot_agent.sim.faults import Faults
 
-CAMERAS = ("usb", "picamera2", "replay", "sim")
-ROBOTS = ("sim", "thymio", "none")
+CAMERAS = ("usb", "picamera2", "replay", "sim", "playground")
+ROBOTS = ("sim", "thymio", "playground", "none")
+OWN_CAMERA = ("sim", "playground")
+"""Robots that come with a camera of their own, of the same name: the two are one world."""
 BUSES = ("session", "system")
 
 
@@ -52,13 +54,16 @@ class Rig:
 
 def build_rig(options: RigOptions) -> Rig:
     """Open camera and robot. Raises AgentError, in words, when one is not to be had or they do not go together."""
-    if "sim" in (options.robot, options.camera):
-        if options.robot != "sim" or options.camera != "sim":
+    for name in OWN_CAMERA:
+        if name in (options.robot, options.camera) and options.robot != options.camera:
             raise UsageError(
-                "The simulated camera and the simulated robot are one world: use --robot sim with --camera sim, "
+                f"Camera and robot of {name} are one world: use --robot {name} with --camera {name}, "
                 f"not --robot {options.robot} with --camera {options.camera}."
             )
+    if options.robot == "sim":
         return _simulation(options)
+    if options.robot == "playground":
+        return _playground(options)
     camera = _open_camera(options)
     try:
         return Rig(camera=camera, robot=_open_robot(options))
@@ -114,3 +119,30 @@ def _simulation(options: RigOptions) -> Rig:
         clock=(lambda: world.time_s) if options.lockstep else time.monotonic,
         stepped=options.lockstep,
     )
+
+
+def _playground(options: RigOptions) -> Rig:
+    from robot_agent.cameras.playground import PlaygroundCamera
+    from robot_agent.playground.world import PlaygroundWorld
+    from robot_agent.robots.playground import PlaygroundRobot
+
+    if options.lockstep:
+        raise UsageError("The playground keeps its own time: use --rhythm free (or --robot sim for lockstep).")
+    faults = options.faults
+    if faults != Faults(noise_sigma=faults.noise_sigma):
+        raise UsageError("The playground has no such faults: only --fault noise_sigma=VALUE (or use --robot sim).")
+    width, height = options.size or (640, 480)
+    world = PlaygroundWorld(
+        scenario=options.scenario,
+        seed=options.seed,
+        width=width,
+        height=height,
+        fps=options.fps or 30.0,
+        noise_sigma=faults.noise_sigma,
+    )
+    try:
+        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node)
+    except BaseException:
+        world.close()
+        raise
+    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario)

@@ -2,7 +2,8 @@
 
 asebamedulla puts the robots on the bus (thesis, section 3.2.1 and listing A.1). A call takes as long as the robot takes
 to answer, some 30 ms, so nothing here waits: a GLib main loop runs in a thread of its own, calls go out from it and
-answers come back in it. This is the only module that knows dbus and gi.
+answers come back in it. This is the only module that knows dbus and gi; who may wait (for asebaplayground's answers,
+say, which come at once) makes calls through BusCalls.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class NodeListener(Protocol):
 class AsebaBus:
     """One node of the Aseba network, looked for by name until it is there, and again after it went.
 
-    `bus`: "session" or "system". Raises AgentError when dbus-python or PyGObject is missing, or there is no such bus.
+    `bus`: "session", "system" or a bus's address. Raises AgentError when dbus-python or PyGObject is missing, or there
+    is no such bus.
     """
 
     def __init__(self, *, bus: str, node: str, listener: NodeListener) -> None:
@@ -42,7 +44,7 @@ class AsebaBus:
         self._node, self._listener = node, listener
         self.why_absent = "looking for the robot"
         """Why the node is not there, in words; empty while it is."""
-        self._bus = self._open(bus)
+        self._bus = _open(self._dbus, bus, self._dbus.mainloop.glib.DBusGMainLoop())
         self._present = False
         self._generation = 0
         self._network: Any = None
@@ -50,17 +52,6 @@ class AsebaBus:
         self._thread = threading.Thread(target=self._loop.run, name="aseba", daemon=True)
         self._watch = self._bus.watch_name_owner(SERVICE, self._owner_changed)
         self._thread.start()
-
-    def _open(self, bus: str) -> Any:
-        mainloop = self._dbus.mainloop.glib.DBusGMainLoop()
-        kind = self._dbus.SystemBus if bus == "system" else self._dbus.SessionBus
-        try:
-            return kind(mainloop=mainloop, private=True)
-        except self._dbus.DBusException as error:
-            raise AgentError(
-                f"There is no D-Bus {bus} bus here ({error.get_dbus_message()}): start agent and asebamedulla in "
-                "one session (dbus-run-session), or use --bus system."
-            ) from error
 
     # -- any thread ------------------------------------------------------------------------------------------------
 
@@ -173,9 +164,55 @@ class AsebaBus:
             self._listener.node_lost(why)
 
 
+class BusCalls:
+    """Calls that wait for their answer, on a connection of its own. May be used from one thread at a time.
+
+    `bus`: as for AsebaBus. Raises AgentError likewise.
+    """
+
+    def __init__(self, bus: str) -> None:
+        self._dbus, _ = _load()
+        self._bus = _open(self._dbus, bus, None)
+
+    def has(self, service: str) -> bool:
+        """Whether somebody owns this name."""
+        return bool(self._bus.name_has_owner(service))
+
+    def call(self, service: str, path: str, method: str, signature: str, *arguments: Any) -> Any:
+        """What `interface.method` answers. Raises AgentError when it does not, or not in time."""
+        interface, _, name = method.rpartition(".")
+        try:
+            return self._bus.call_blocking(service, path, interface, name, signature, arguments, CALL_TIMEOUT_S)
+        except self._dbus.DBusException as error:
+            raise AgentError(f"{service} did not answer ({error.get_dbus_message()}).") from error
+
+    def double(self, value: float) -> Any:
+        """A number for an argument of any type (signature v)."""
+        return self._dbus.Double(value, variant_level=1)
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._bus.close()
+
+
+def _open(dbus: Any, bus: str, mainloop: Any) -> Any:
+    try:
+        if bus == "system":
+            return dbus.SystemBus(mainloop=mainloop, private=True)
+        if bus == "session":
+            return dbus.SessionBus(mainloop=mainloop, private=True)
+        return dbus.bus.BusConnection(bus, mainloop=mainloop)
+    except dbus.DBusException as error:
+        raise AgentError(
+            f"There is no D-Bus {bus} bus here ({error.get_dbus_message()}): start agent and asebamedulla in "
+            "one session (dbus-run-session), or use --bus system."
+        ) from error
+
+
 def _load() -> tuple[Any, Any]:
     try:
         import dbus
+        import dbus.bus
         import dbus.mainloop.glib
         from gi.repository import GLib
     except ImportError as error:

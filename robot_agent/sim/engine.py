@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_agent.errors import AgentError
 from robot_agent.sim import thymio
-from robot_agent.sim.model import OWN_GROUP, SENSED_GROUP, SimModel
+from robot_agent.sim.model import OBSTACLE_TYPE, OWN_GROUP, SENSED_GROUP, SimModel
 from robot_agent.sim.poses import Pose
 from robot_agent.sim.projection import PictureView
 
@@ -99,6 +99,15 @@ class Engine:
     def is_touching(self) -> bool:
         """Whether the robot's body met an obstacle in the last step."""
         return bool((self._data.contact.geom == self._body_geom).any())
+
+    def clearance_m(self, within_m: float) -> float:
+        """How far the robot's body is from the nearest obstacle, as of the last `refresh`; `within_m` when further."""
+        obstacles = np.flatnonzero(self._model.geom_contype & OBSTACLE_TYPE)
+        distances = (
+            self._mj.mj_geomDistance(self._model, self._data, self._body_geom, int(geom), within_m, None)
+            for geom in obstacles
+        )
+        return float(min(distances, default=within_m))
 
     def sense(self) -> tuple[float, ...]:
         """Distances (m) ahead of the proximity sensors, infinite when nothing is there."""

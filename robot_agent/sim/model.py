@@ -19,6 +19,8 @@ from robot_agent.sim.poses import Pose
 WALL_HEIGHT_M = 1.5
 SENSED_GROUP, OWN_GROUP = 0, 3
 """Geometry groups: what proximity sensors and lines of sight meet, and the robot's own parts."""
+OBSTACLE_TYPE = 2
+"""Contact type bit of obstacles."""
 
 _WALLS = ("east", "north", "west", "south")
 _WALL_HALF_M, _SLAB_HALF_M = 0.01, 0.001
@@ -53,7 +55,7 @@ def build_model(
 <visual><global offwidth="{width}" offheight="{height}"/><quality offsamples="0" shadowsize="0"/>
 <map znear="0.01" zfar="20"/><headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/></visual>
 <default><geom contype="0" conaffinity="0" group="{SENSED_GROUP}"/>
-<default class="obstacle"><geom contype="2"/></default>
+<default class="obstacle"><geom contype="{OBSTACLE_TYPE}"/></default>
 <default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
 <asset>{assets}{_shades()}{_meshes()}</asset>
 <worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, fovy_deg)}</worldbody>

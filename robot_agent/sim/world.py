@@ -1,8 +1,6 @@
 """The simulated world: a stage of a scenario, brought to life by the physics engine and seen by a faulty camera.
 
 Time advances only when asked to, so one world serves real time and lockstep, and the same calls give the same pictures.
-Every kind of chance (course, textures, noise, slip, losses) has its own stream of the seed: one fault leaves the
-others' luck alone.
 """
 
 from __future__ import annotations
@@ -14,21 +12,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from protocol import RobotLimits, Scenario, ScenarioEvent, Truth
+from protocol import RobotLimits, Scenario, Truth
 from robot_agent.cameras.base import CameraFrame
-from robot_agent.errors import AgentError, CameraError
+from robot_agent.errors import CameraError
 from robot_agent.robots.base import RobotState
 from robot_agent.sim import thymio
-from robot_agent.sim.engine import Engine
 from robot_agent.sim.faults import Faults
-from robot_agent.sim.model import build_model
-from robot_agent.sim.noise import NoiseBank
-from robot_agent.sim.poses import Pose, wrapped
-from robot_agent.sim.projection import pinhole, user_box
-from robot_agent.sim.scenarios import build_stage
+from robot_agent.sim.scene import Scene
 from robot_agent.sim.slip import WheelSlip
 
-_LONGEST_STEP_S = 0.002
 _SAME_TIME_S = 1e-6
 _SENSING_PERIOD_S = 0.010
 _EPISODE_GAP_S = 0.2
@@ -59,30 +51,17 @@ class World:
         faults: Faults | None = None,
     ) -> None:
         """Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo."""
-        if seed < 0:
-            raise AgentError(f"The seed must not be negative, but is {seed}.")
         self.width, self.height, self.fps = width, height, fps
         self.faults = faults or Faults()
         self.limits: RobotLimits = thymio.LIMITS
-        self.intrinsics = pinhole(width, height)
-        course_seed, texture_seed, noise_seed, slip_seed, loss_seed = (
-            int(part.generate_state(1)[0]) for part in np.random.SeedSequence(seed).spawn(5)
+        self._scene = Scene(
+            scenario=scenario, seed=seed, width=width, height=height, fps=fps, noise_sigma=self.faults.noise_sigma
         )
-        self._stage = build_stage(scenario, course_seed)
-        # A whole number of steps per frame, so that frames fall exactly on steps.
-        self._step_s = 1.0 / (fps * math.ceil(1.0 / (fps * _LONGEST_STEP_S)))
-        model = build_model(
-            self._stage,
-            texture_seed=texture_seed,
-            timestep_s=self._step_s,
-            width=width,
-            height=height,
-            intrinsics=self.intrinsics,
-        )
-        self._engine = Engine(model, width=width, height=height)
-        self._noise = NoiseBank(sigma=self.faults.noise_sigma, width=width, height=height, seed=noise_seed)
-        self._slip = WheelSlip(mean=self.faults.wheel_slip, step_s=self._step_s, seed=slip_seed)
-        self._losses = np.random.default_rng(loss_seed)
+        self.intrinsics = self._scene.intrinsics
+        self.scenario: Scenario = self._scene.announcement
+        self._stage, self._engine, self._step_s = self._scene.stage, self._scene.engine, self._scene.step_s
+        self._slip = WheelSlip(mean=self.faults.wheel_slip, step_s=self._step_s, seed=self._scene.slip_seed)
+        self._losses = np.random.default_rng(self._scene.loss_seed)
         self._lock = threading.RLock()
         self._drawing = threading.Lock()
         self._steps = 0
@@ -96,11 +75,7 @@ class World:
         self._proximity: tuple[int, ...] = ()
         self._exposures: list[_Exposure] = []
         self._closed = False
-        self._engine.place_robot(self._stage.robot_start)
-        self._place_leader(0.0)
-        self._engine.refresh()
-        self._truth = self._truth_now()
-        self.scenario = Scenario(name=scenario, seed=seed, events=(self._learn_event(),))
+        self._truth = self._scene.truth(collisions=0)
 
     @property
     def time_s(self) -> float:
@@ -171,7 +146,8 @@ class World:
                     raise CameraError("The simulated camera is closed; start the agent again.")
                 self._engine.refresh()
                 self._engine.aim()
-                time_s, light, truth = self.time_s, self._stage.light(self._scenario_s()), self._truth_now()
+                time_s, light = self.time_s, self._stage.light(self._scenario_s())
+                truth = self._scene.truth(self._collisions)
             # Drawing takes milliseconds; wheel commands must not wait for it.
             image = self._engine.draw()
             self._exposures.append(_Exposure(image=image, time_s=time_s, light=light, truth=truth))
@@ -186,7 +162,7 @@ class World:
         middle = exposures[len(exposures) // 2]
         with self._lock:
             self._truth = middle.truth
-        image = self._noise.add_to(_developed(exposures))
+        image = self._scene.noisy(_developed(exposures))
         return CameraFrame(image=image, capture_s=middle.time_s, truth=middle.truth)
 
     def close(self) -> None:
@@ -223,28 +199,6 @@ class World:
         if self._stage.leader is not None:
             self._engine.place_leader(self._stage.leader(scenario_s))
 
-    def _learn_event(self) -> ScenarioEvent:
-        view = self._engine.picture_view()
-        box = None if view is None else user_box(view, self.intrinsics)
-        return ScenarioEvent(kind="learn", frame=1, box=box)
-
-    def _truth_now(self) -> Truth:
-        robot, view, target = self._engine.robot_pose, self._engine.picture_view(), self._engine.picture_pose
-        if view is None or target is None:
-            bearing = wrapped(self._stage.robot_start.heading_rad - self._engine.camera_heading_rad)
-            return Truth(robot=_flat(robot), bearing_rad=bearing, in_view=True, collisions=self._collisions)
-        in_view = view.is_framed(self.intrinsics, self.width, self.height) and all(
-            self._engine.sees(point) for point in (view.centre, *view.corners)
-        )
-        return Truth(
-            robot=_flat(robot),
-            target=_flat(target),
-            bearing_rad=view.bearing_rad,
-            range_m=view.range_m,
-            in_view=in_view,
-            collisions=self._collisions,
-        )
-
 
 def _developed(exposures: list[_Exposure]) -> np.ndarray:
     """The mean of the exposures, each in its own light: uint8 (height, width)."""
@@ -255,7 +209,3 @@ def _developed(exposures: list[_Exposure]) -> np.ndarray:
     for exposure in exposures:
         cv2.scaleAdd(exposure.image.astype(np.float32), exposure.light / len(exposures), total, dst=total)
     return cv2.convertScaleAbs(total)
-
-
-def _flat(pose: Pose) -> tuple[float, float, float]:
-    return pose.x_m, pose.y_m, wrapped(pose.heading_rad)

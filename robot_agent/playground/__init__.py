@@ -1,0 +1,1 @@
+"""A Thymio II whose Aseba programs run in asebaplayground, seen by the simulator's camera (extras `sim`, `thymio`)."""
