@@ -22,8 +22,8 @@ TOP_LEVEL_FOLDERS = {".ci", "base_station", "protocol", "robot_agent", "scripts"
 OPTIONAL = {
     "mujoco": "robot_agent/sim/engine.py",
     "picamera2": "robot_agent/cameras/picamera2.py",
-    "dbus": None,
-    "gi": None,
+    "dbus": "robot_agent/robots/aseba.py",
+    "gi": "robot_agent/robots/aseba.py",
     "pycolmap": None,
     "nicegui": None,
 }

@@ -33,7 +33,10 @@ def playground_file(stage: Stage, *, follower_port: int, leader_port: int) -> st
     """The room, the screen, the follower and, where the stage has one, the leader. The ports are TCP ports of their
     Aseba nodes."""
     side_cm = 2.0 * ROOM_HALF_SIZE_M * CM_PER_M
-    parts = [f'<world w="{side_cm}" h="{side_cm}" color="light"/>', _robot("follower", stage.robot_start, follower_port)]
+    parts = [
+        f'<world w="{side_cm}" h="{side_cm}" color="light"/>',
+        _robot("follower", stage.robot_start, follower_port),
+    ]
     if stage.leader is not None:
         parts.append(_robot("leader", stage.leader(0.0), leader_port))
     if stage.screen is not None:

@@ -73,14 +73,8 @@ class Programs:
             self._start("asebaplayground", str(described))
             self._wait("asebaplayground", self._playground_answers)
             # Without a port of its own medulla would take the playground's.
-            self._medulla = ("-p", str(medulla_port), f"tcp:localhost;{follower_port}")
-            self._start("asebamedulla", *self._medulla)
+            self._start("asebamedulla", "-p", str(medulla_port), f"tcp:localhost;{follower_port}")
             self.close = opened.pop_all().close
-
-    @property
-    def process_ids(self) -> dict[str, int]:
-        """By program."""
-        return {name: process.pid for name, process in self._running.items()}
 
     def why_ended(self, name: str) -> str | None:
         """What a program said last, if it has ended; None while it runs."""

@@ -46,9 +46,7 @@ class PlaygroundWorld:
         """Raises AgentError as Scene does, and when a program is missing or does not come up."""
         self.width, self.height, self.fps = width, height, fps
         self._clock = clock
-        self._scene = Scene(
-            scenario=scenario, seed=seed, width=width, height=height, fps=fps, noise_sigma=noise_sigma
-        )
+        self._scene = Scene(scenario=scenario, seed=seed, width=width, height=height, fps=fps, noise_sigma=noise_sigma)
         self.intrinsics: Intrinsics = self._scene.intrinsics
         self.scenario: Scenario = self._scene.announcement
         self._stage = stage = self._scene.stage

@@ -1,0 +1,157 @@
+"""The Thymio's driver with the real Aseba programs: asebaplayground and asebamedulla on a bus of the agent's own."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from robot_agent.playground.programs import PACKAGES
+from tests.helpers import Program, Programs, TelemetryLog, driving, standing, wait_until
+
+MISSING = [name for name in PACKAGES if shutil.which(name) is None]
+STARTED = {"Xvfb", "dbus-daemon", "asebaplayground", "asebamedulla"}
+
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {MISSING}; scripts/setup installs them")
+
+
+@pytest.fixture
+def scratch() -> Iterator[Path]:
+    """Where the agent puts its temporary files. Short: a socket's path may have 107 characters."""
+    with tempfile.TemporaryDirectory(prefix="pg") as folder:
+        yield Path(folder)
+
+
+@pytest.fixture
+def playground(programs: Programs, port: int, scratch: Path) -> Program:
+    """An agent in the playground that serves already, with a small picture."""
+    agent = programs.start(
+        *(sys.executable, "-m", "robot_agent", "--port", str(port), "--robot", "playground", "--seed", "3"),
+        *("--size", "320x240", "--speed-scale", "4"),
+        TMPDIR=str(scratch),
+    )
+    agent.says("serving robot playground", 30.0)
+    return agent
+
+
+def children(agent: Program) -> dict[str, int]:
+    """The programs that the agent has started: name and process id."""
+    pids = Path(f"/proc/{agent.process.pid}/task/{agent.process.pid}/children").read_text().split()
+    return {name: int(pid) for pid in pids if (name := program_of(int(pid))) is not None}
+
+
+def program_of(pid: int) -> str | None:
+    """What this process runs; None when it has ended."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return None
+    return Path(words[0].decode()).name or None
+
+
+def all_gone(started: dict[str, int]) -> bool:
+    return all(program_of(pid) != name for name, pid in started.items())
+
+
+def test_it_follows_the_leader_and_leaves_nothing(
+    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog], scratch: Path
+) -> None:
+    """15 s behind the leader: tracked, straight ahead, at the distance. SIGTERM ends every program and every file."""
+    telemetry, summary = listen(), scratch / "summary.json"
+    started = children(playground)
+    assert started.keys() == STARTED
+    station = programs.station(port, "--duration", "15", "--summary", str(summary), tracker="ztransform")
+    assert station.exit_code(60) == 0, station.stderr
+
+    run = json.loads(summary.read_text())
+    assert run["scenario"] == "leader" and run["seed"] == 3
+    assert run["tracking_share"] >= 0.98
+    assert run["bearing_error_deg_rms"] <= 3.0
+    assert run["distance_error_rel_rms"] <= 0.12
+    assert run["collisions"] == 0
+    places = [message.truth.robot[:2] for message in telemetry.messages if message.truth is not None]
+    assert math.dist(places[0], places[-1]) > 0.3, "the leader did not lead anywhere"
+    telemetry.wait_for(standing, what="standing wheels without a station")
+
+    playground.signal(signal.SIGTERM)
+    assert playground.exit_code() == 0, playground.stderr
+    assert "did not confirm" not in playground.stderr
+    assert all_gone(started)
+    assert [path.name for path in scratch.iterdir()] == ["summary.json"]
+
+
+def test_a_killed_agent_leaves_no_programs(playground: Program) -> None:
+    """SIGKILL gives the agent no time for anything: the kernel ends what it has started."""
+    started = children(playground)
+    assert started.keys() == STARTED
+
+    playground.signal(signal.SIGKILL)
+    playground.exit_code()
+
+    wait_until(lambda: all_gone(started), 3.0, "the end of the programs")
+
+
+def test_the_robot_outlives_asebamedulla(
+    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog]
+) -> None:
+    """Without asebamedulla the wheels are unknown and the station is told; 3 s after its return the robot drives."""
+    telemetry = listen()
+    programs.station(port, tracker="ztransform")
+    telemetry.wait_for(lambda message: driving(message) and (message.truth is not None), 15.0, what="driving")
+    medulla = children(playground)["asebamedulla"]
+    command = Path(f"/proc/{medulla}/cmdline").read_text().rstrip("\0").split("\0")
+    environment = dict(
+        entry.partition("=")[::2] for entry in Path(f"/proc/{medulla}/environ").read_text().split("\0") if entry
+    )
+
+    os.kill(medulla, signal.SIGKILL)
+    away = telemetry.wait_for(lambda message: "asebamedulla" in message.reason, 2.0, what="the robot being away")
+    assert away.wheels_asked == (0, 0)
+    again = programs.start(*command, **environment)
+    assert again.alive
+    telemetry.wait_for(
+        lambda message: message.safety == "ok" and driving(message), 3.0, since_s=away.monotonic_s, what="driving again"
+    )
+
+
+def test_a_dead_playground_is_an_error_in_words(playground: Program) -> None:
+    """The world has gone: the agent ends, says which program it was, and takes the others along."""
+    started = children(playground)
+
+    os.kill(started["asebaplayground"], signal.SIGKILL)
+
+    assert playground.exit_code() == 1
+    assert "asebaplayground has ended" in playground.stderr
+    assert all_gone(started)
+
+
+def test_a_missing_program_is_named_with_its_package(scratch: Path) -> None:
+    """Nothing on the search path: what to install is said, in one line."""
+    finished = subprocess.run(
+        [sys.executable, "-m", "robot_agent", "--robot", "playground"],
+        env=os.environ | {"PATH": str(scratch)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert finished.returncode == 1
+    assert "asebaplayground" in finished.stderr and "apt-get install aseba" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+@pytest.mark.parametrize("options", [["--rhythm", "lockstep"], ["--fault", "wheel_slip=0.2"], ["--camera", "sim"]])
+def test_what_the_playground_cannot_do_is_wrong_usage(options: list[str]) -> None:
+    """It keeps its own time, has no faults but noise, and comes with its camera."""
+    command = [sys.executable, "-m", "robot_agent", "--robot", "playground", *options]
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert finished.returncode == 2, finished.stderr
+    assert "playground" in finished.stderr.lower() and "Traceback" not in finished.stderr
