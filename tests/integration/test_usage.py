@@ -68,7 +68,7 @@ def test_station_target_outside_of_the_picture(programs: Programs, port: int, pi
         (["--fault", "wheel_slip=much"], "'wheel_slip=much'"),
         (["--fault", "wheel_slip=0.9"], "wheel_slip must be from 0.0 to 0.45"),
         (["--scenario", "leadr"], "'leader'"),
-        (["--robot", "tank"], "'playground', 'none'"),
+        (["--robot", "tank"], "'thymio'"),
         (["--camera", "polaroid"], "'replay'"),
         (["--rhythm", "waltz"], "'lockstep'"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
@@ -273,3 +274,28 @@ def test_while_driving_the_turn_is_never_reversed_and_the_curve_never_bent_witho
         assert decision.right == pytest.approx(right * factor, abs=0.51)
     else:
         assert decision.left + decision.right == 0
+
+
+def test_an_edge_in_front_lets_the_robot_turn_and_back_off_only():
+    ask = partial(decide_with, ground=(900, 20))
+    assert (ask(100, 60).left, ask(100, 60).right) == (20, -20)
+    assert ask(100, 60).reason == "an edge in front"
+    assert (ask(-80, -80).left, ask(-80, -80).right) == (-80, -80)
+    assert decide_with(100, 60, ground=(900, 850)).state is SafetyState.OK
+    looking_away = SafetySettings(edge=None)
+    assert decide_with(100, 60, settings=looking_away, ground=(0, 0)).state is SafetyState.OK
+
+
+def test_a_robot_that_is_picked_up_stands():
+    assert decide_with(100, 60, acceleration=(0, 1, 22)).state is SafetyState.OK
+    tilted = decide_with(100, 60, acceleration=(0, 15, 17))
+    assert tilted.state is SafetyState.STOPPED and "picked up: tilted by 41 degrees" in tilted.reason
+    assert decide_with(100, 60, acceleration=(0, 0, -23)).state is SafetyState.STOPPED, "upside down"
+    assert decide_with(100, 60, acceleration=(0, 0, 0)).state is SafetyState.OK, "no accelerometer"
+    assert decide_with(100, 60, settings=SafetySettings(tilt_rad=None), acceleration=(0, 23, 0)).left == 100
+
+
+def decide_with(left, right, *, settings=None, **senses):
+    """The decision on a fresh command with a live camera and these senses."""
+    link = LinkState(connected=True, last_frame_s=9.99)
+    return SafetySupervisor(settings).step(10.0, WheelCommand(left, right, 9.99), None, link, **senses)

@@ -24,6 +24,7 @@ class BreakableRobot:
     def __init__(self) -> None:
         self.asked: list[tuple[int, int]] = []
         self.broken: set[str] = set()
+        self.senses = RobotState()
 
     def set_wheels(self, left: int, right: int) -> None:
         if "wheels" in self.broken:
@@ -33,7 +34,7 @@ class BreakableRobot:
     def state(self) -> RobotState:
         if "state" in self.broken:
             raise OSError("no such sensors")
-        return RobotState()
+        return self.senses
 
     def close(self) -> None: ...
 
@@ -171,3 +172,30 @@ def test_what_is_forbidden_stays_forbidden_for_the_first_reason(bench):
     bench.wheels.forbid("later")
     bench.wheels.take_command(Command(50, 50), peer)
     assert bench.robot.asked[-1] == (0, 0) and bench.wheels.decision.reason == "the agent ends"
+
+
+def test_the_robots_own_button_stops_and_releases(bench):
+    peer = bench.connect(bench.commands)
+    bench.wheels.picture_came()
+
+    def press() -> None:
+        for held in (True, True, False):  # held over several looks is one press
+            bench.robot.senses = RobotState(button=held)
+            bench.wheels.take_command(Command(5, 5), peer)
+
+    press()
+    assert bench.robot.asked[-1] == (0, 0)
+    assert bench.wheels.decision.reason == "emergency stop: the robot's button"
+    press()
+    assert bench.robot.asked[-1] == (10, 10)
+
+
+def test_a_robot_that_is_away_is_not_driven_until_it_is_back(bench):
+    peer = bench.connect(bench.commands)
+    bench.wheels.picture_came()
+    bench.robot.senses = RobotState(problem="the robot is away")
+    bench.wheels.take_command(Command(5, 5), peer)
+    assert bench.robot.asked[-1] == (0, 0) and bench.wheels.decision.reason == "the robot is away"
+    bench.robot.senses = RobotState()
+    bench.wheels.decide()
+    assert bench.robot.asked[-1] == (10, 10)

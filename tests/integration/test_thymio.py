@@ -1,0 +1,153 @@
+"""The agent on Debian's own packages drives a real Aseba Thymio II over a real D-Bus, and stops it whatever happens."""
+
+from __future__ import annotations
+
+import signal
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
+from tests.playground import Playground, needs_aseba
+
+pytestmark = needs_aseba
+FRAME_BYTES = 160 * 120
+FULL_SPEED = 100
+"""Wire units; with --speed-scale 4 these are 400 motor units, 13 cm/s."""
+
+
+@pytest.fixture
+def playground(programs: Programs, tmp_path: Path) -> Iterator[Playground]:
+    yield Playground(programs, tmp_path)
+
+
+@pytest.fixture
+def agent(playground: Playground, port: int, pictures: Path) -> Program:
+    started = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--speed-scale", "4")
+    started.says("serving robot", 20.0)
+    return started
+
+
+def drive(station: RawStation, seconds: float, left: int, right: int) -> None:
+    """A command per frame, as a station gives them."""
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        station.read_frame()
+        station.send(left, right)
+
+
+def standing(look: dict) -> bool:
+    return look.get("left") == 0 and look.get("right") == 0
+
+
+def test_commands_reach_the_motors_soon_and_sigterm_stops_them(
+    playground: Playground, agent: Program, port: int
+) -> None:
+    """The target in the robot changes within some playground steps of 30 ms; at the agent's end it is zero again."""
+    delays_s = []
+    with RawStation(port, FRAME_BYTES) as station:
+        for turn in range(12):
+            asked = (10 + turn, 20 + turn)
+            drive(station, 0.25, 10 + turn - 1, 20 + turn - 1)
+            station.send(*asked)
+            sent_s = time.monotonic()
+            wanted = (4 * asked[0], 4 * asked[1])
+            seen = playground.wait_for(
+                lambda look, wanted=wanted: (look.get("left"), look.get("right")) == wanted,
+                f"targets {wanted}",
+                timeout_s=2.0,
+                since_s=sent_s,
+            )
+            delays_s.append(seen["time_s"] - sent_s)
+        assert statistics.median(delays_s) < 0.15, f"{delays_s} (three answers of 30 ms belong to the looking itself)"
+        drive(station, 0.5, 30, 30)
+        asked_s = time.monotonic()
+        agent.signal(signal.SIGTERM)
+        assert agent.exit_code() == 0
+    assert "did not confirm" not in agent.stderr
+    playground.wait_for(standing, "standing wheels", timeout_s=1.0, since_s=asked_s)
+
+
+def test_station_that_goes_leaves_a_robot_that_stands(playground: Playground, agent: Program, port: int) -> None:
+    """A station that ends (as by SIGKILL, its sockets close): the robot's targets are zero within 700 ms."""
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 1.0, 40, 40)
+        playground.wait_for(lambda look: look.get("left") == 160, "a robot that drives")
+    gone_s = time.monotonic()
+    stood = playground.wait_for(standing, "standing wheels", since_s=gone_s)
+    assert stood["time_s"] - gone_s <= 0.7
+
+
+def test_station_that_hangs_leaves_a_robot_that_stands(playground: Playground, agent: Program, port: int) -> None:
+    """No command for 500 ms while the connections stay open."""
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 1.0, 40, 40)
+        silent_s = time.monotonic()
+        stood = playground.wait_for(standing, "standing wheels", since_s=silent_s)
+    assert 0.3 <= stood["time_s"] - silent_s <= 0.9
+
+
+def test_asebamedulla_stops_and_starts_again(
+    playground: Playground, agent: Program, port: int, listen: Callable[[], TelemetryLog]
+) -> None:
+    """The station is told that the wheels are unknown; commands resume within 3 s of asebamedulla's return."""
+    telemetry = listen()
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 1.0, 40, 40)
+        playground.medulla.kill()
+        killed_s = time.monotonic()
+        drive(station, 0.5, 40, 40)
+        told = telemetry.wait_for(lambda message: "wheels are unknown" in message.reason, since_s=killed_s, what="why")
+        assert told.safety == "stopped" and told.wheels_measured is None
+        playground.start_medulla()
+        back_s = time.monotonic()
+        deadline_s = back_s + 3.0
+        while time.monotonic() < deadline_s:
+            drive(station, 0.1, 35, 35)
+            if any(look["time_s"] > back_s and look.get("left") == 140 for look in playground.looks()):
+                return
+    raise AssertionError("commands did not resume within 3 s")
+
+
+def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: int) -> None:
+    """Driving at the wall it stops before contact, and drives away backwards when told."""
+    playground.put(120.0, 100.0, 0.0)
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 4.0, FULL_SPEED, FULL_SPEED)
+        nearest_cm = max(look["x"] for look in playground.looks())
+        front_cm, wall_cm = nearest_cm + 8.0, 149.0
+        assert nearest_cm > 122.0, "it never drove"
+        assert front_cm < wall_cm, f"contact: front at {front_cm:.1f} cm, wall at {wall_cm} cm"
+        backing_s = time.monotonic()
+        drive(station, 1.5, -40, -40)
+        playground.wait_for(lambda look: look["x"] < nearest_cm - 2, "driving away", since_s=backing_s)
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "words"),
+    [
+        ((), {"DBUS_SESSION_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus session bus"),
+        (("--node", "thymio-X"), {}, "thymio-II"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(playground, programs, port, pictures, options, environment, words) -> None:
+    """No bus, no such node: exit code 1 and a sentence; the second one names the nodes there are."""
+    playground.environment |= environment
+    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), *options)
+    assert agent.exit_code(20.0) == 1
+    assert words in agent.stderr
+
+
+def test_without_asebamedulla_its_absence_is_said(programs: Programs, port: int, pictures: Path) -> None:
+    """A bus without the service."""
+    bus = programs.start("dbus-daemon", "--session", "--nofork", "--print-address")
+    address = wait_until(lambda: bus.stdout.strip(), 5.0, "a session bus")
+    agent = programs.start(
+        "/usr/bin/python3", "-m", "robot_agent", "--robot", "thymio", "--port", str(port),
+        "--camera", "replay", "--source", str(pictures), DBUS_SESSION_BUS_ADDRESS=address,
+    )  # fmt: skip
+    assert agent.exit_code(20.0) == 1
+    assert "asebamedulla is not on the bus" in agent.stderr

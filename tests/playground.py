@@ -1,0 +1,102 @@
+"""A real Thymio II without hardware: Debian's asebaplayground and asebamedulla on a D-Bus session bus of their own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers import ROOT, Program, Programs, free_ports, wait_until
+
+PROGRAMS = ("asebaplayground", "asebamedulla", "Xvfb", "dbus-daemon")
+DEBIAN_PYTHON = "/usr/bin/python3"
+WORLD = """<!DOCTYPE aseba-playground>
+<aseba-playground>
+ <color name="white" r="0.9" g="0.9" b="0.9"/>
+ <world w="200" h="200" color="white"/>
+ <wall x="150" y="100" l1="2" l2="60" h="20" color="white"/>
+ <robot type="thymio2" x="60" y="100" angle="0" port="{port}" name="thymio-II"/>
+</aseba-playground>
+"""
+
+
+def missing() -> str:
+    """What these tests need and this machine has not, in words; empty when it is all there."""
+    absent = [name for name in PROGRAMS if shutil.which(name) is None]
+    modules = "import cv2, dbus, gi, msgpack, numpy, zmq"
+    if subprocess.run([DEBIAN_PYTHON, "-c", modules], capture_output=True, check=False).returncode:
+        absent.append(f"Debian's python3 with {modules.removeprefix('import ')}")
+    return ", ".join(absent)
+
+
+needs_aseba = pytest.mark.skipif(bool(missing()), reason=f"missing (scripts/test installs it): {missing()}")
+
+
+class Playground:
+    """One simulated Thymio, 60 cm from the left side, looking at a wall 90 cm ahead."""
+
+    def __init__(self, programs: Programs, folder: Path) -> None:
+        self._programs = programs
+        self._aseba_port = free_ports()
+        (folder / "world.playground").write_text(WORLD.format(port=self._aseba_port))
+        bus = programs.start("dbus-daemon", "--session", "--nofork", "--print-address")
+        self.environment = {"DBUS_SESSION_BUS_ADDRESS": wait_until(lambda: bus.stdout.strip(), 5.0, "a session bus")}
+        screen = programs.start("Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24", "+extension", "GLX")
+        display = ":" + wait_until(lambda: screen.stdout.strip(), 10.0, "a display")
+        programs.start(
+            "asebaplayground",
+            str(folder / "world.playground"),
+            DISPLAY=display,
+            LIBGL_ALWAYS_SOFTWARE="1",
+            **self.environment,
+        )
+        self.medulla = self.start_medulla()
+        self._probe = programs.start(
+            DEBIAN_PYTHON, str(ROOT / "tests/aseba_probe.py"), stdin=subprocess.PIPE, **self.environment
+        )
+        self.wait_for(lambda look: "left" in look, "the robot on the bus", timeout_s=20.0)
+
+    def start_medulla(self) -> Program:
+        """asebamedulla, once the playground listens: it looks only once."""
+        wait_until(lambda: _listens(self._aseba_port), 20.0, "the playground's port")
+        target = f"tcp:localhost;{self._aseba_port}"
+        return self._programs.start("asebamedulla", "-p", str(self._aseba_port + 1), target, **self.environment)
+
+    def agent(self, port: int, *options: str) -> Program:
+        """The agent on Debian's own Python and packages, driving this robot."""
+        return self._programs.start(
+            DEBIAN_PYTHON, "-m", "robot_agent", "--robot", "thymio", "--port", str(port), *options, **self.environment
+        )
+
+    def put(self, x_cm: float, y_cm: float, angle_rad: float) -> None:
+        """Carry the robot there."""
+        stdin = self._probe.process.stdin
+        assert stdin is not None
+        stdin.write(f"{x_cm} {y_cm} {angle_rad}\n".encode())
+        stdin.flush()
+        self.wait_for(lambda look: abs(look["x"] - x_cm) < 1 and abs(look["y"] - y_cm) < 1, "the robot put there")
+
+    def looks(self) -> list[dict[str, Any]]:
+        """All that the probe saw so far."""
+        return [json.loads(line) for line in self._probe.stdout.splitlines(keepends=True) if line.endswith("\n")]
+
+    def wait_for(
+        self, condition: Callable[[dict[str, Any]], bool], what: str, timeout_s: float = 5.0, since_s: float = 0.0
+    ) -> dict[str, Any]:
+        """The first look since then that meets the condition."""
+
+        def found() -> dict[str, Any] | None:
+            return next((look for look in self.looks() if look["time_s"] >= since_s and condition(look)), None)
+
+        return wait_until(found, timeout_s, what)
+
+
+def _listens(port: int) -> bool:
+    """Whether somebody listens there; a connection to find out would count as a robot's."""
+    lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
+    return any(line.split()[1].endswith(f":{port:04X}") and line.split()[3] == "0A" for line in lines)
