@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class Playground:
         self.environment = {"DBUS_SESSION_BUS_ADDRESS": wait_until(lambda: bus.stdout.strip(), 5.0, "a session bus")}
         screen = programs.start("Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24", "+extension", "GLX")
         display = ":" + wait_until(lambda: screen.stdout.strip(), 10.0, "a display")
-        programs.start(
+        self._program = programs.start(
             "asebaplayground",
             str(folder / "world.playground"),
             DISPLAY=display,
@@ -60,6 +61,15 @@ class Playground:
             DEBIAN_PYTHON, str(ROOT / "tests/aseba_probe.py"), stdin=subprocess.PIPE, **self.environment
         )
         self.wait_for(lambda look: "left" in look, "the robot on the bus", timeout_s=20.0)
+
+    def survived(self) -> bool:
+        """Whether asebaplayground still runs and answers: now and then it crashes when asebamedulla leaves it."""
+        since_s = time.monotonic()
+        try:
+            self.wait_for(lambda look: True, "the playground", timeout_s=1.0, since_s=since_s)
+        except AssertionError:
+            return False
+        return self._program.alive
 
     def start_medulla(self) -> Program:
         """asebamedulla, once the playground listens: it looks only once."""
