@@ -2,6 +2,11 @@
 
 import sys
 
-from base_station.cli import main
+try:
+    from base_station.cli import main
+except ModuleNotFoundError as error:
+    sys.exit(
+        f"base-station: {error.name} is not installed for this Python: run scripts/setup, then .venv/bin/base-station."
+    )
 
 sys.exit(main())

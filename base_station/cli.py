@@ -171,6 +171,8 @@ def _check(run: Run) -> None:
     for name, path in (("--summary", run.summary), ("--picture", run.picture)):
         if path is not None and not path.parent.is_dir():
             raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
+        if path is not None and path.is_dir():
+            raise StationError(f"{name}: {path} is a folder; name a file.", usage=True)
 
 
 def _run(run: Run, console: Console) -> int:
@@ -222,6 +224,8 @@ def _run(run: Run, console: Console) -> int:
 
 def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:
     hint = "space: emergency stop  r: release  l: learn  q: quit" if has_keys else ""
+    if run.behaviour == "teleop":
+        hint = f"drive: w a s d or arrows  {hint}"
     return StatusLine(console, link, run.tracker, run.behaviour, hint)
 
 
@@ -305,6 +309,8 @@ def _conclude(run: Run, console: Console, link: Link, log: LoopLog, picture: Run
     console.print(summary_table(summary))
     if summary.frames == 0:
         raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
+    if run.target is not None and not log.learned:
+        raise StationError(f"The target {run.target} was never learned: it must lie in the picture and have texture.")
     return EXIT_DONE
 
 

@@ -27,7 +27,7 @@ class StatusLine:
 
     def __init__(self, console: Console, link: Link, tracker: str, behaviour: str, hint: str = "") -> None:
         self._console, self._link = console, link
-        self._names = f"{tracker} · {behaviour}"
+        self._names = f"{short_name(tracker)} · {behaviour}"
         self._hint = hint
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._walls_s: deque[float] = deque(maxlen=60)
@@ -63,7 +63,7 @@ class StatusLine:
         if self._live is not None:
             self._live.update(self._line(), refresh=True)
         else:
-            self._console.print(self._line().plain, soft_wrap=True)
+            self._console.print(self._line().plain, soft_wrap=True, markup=False, highlight=False)
 
     def _line(self) -> Text:
         line = Text(f"{self._names}  ", style="cyan")
@@ -87,6 +87,11 @@ class StatusLine:
         return (len(self._walls_s) - 1) / max(self._walls_s[-1] - self._walls_s[0], 1e-6)
 
 
+def short_name(tracker: str) -> str:
+    """A tracker's name without the folders of its file."""
+    return tracker.rpartition("/")[2]
+
+
 def describe(result: TrackerResult) -> str:
     """A result in a few words: bearing, zoom and confidence, or why there are none."""
     if result.state is not TrackingState.TRACKING:
@@ -102,9 +107,13 @@ def describe(result: TrackerResult) -> str:
 
 def summary_table(summary: Summary) -> Table:
     """What a person wants to know after a run; lines that do not apply are left out."""
-    table = Table(title=f"{summary.tracker} · {summary.behaviour} · {summary.duration_s:.1f} s", show_header=False)
+    table = Table(
+        title=f"{short_name(summary.tracker)} · {summary.behaviour} · {summary.duration_s:.1f} s", show_header=False
+    )
     lines = (
         ("frames", summary.frames, "{:d}"),
+        ("target tracked in", summary.frames_tracked, "{:d} frames"),
+        ("shadow: tracked in", summary.shadow_frames_tracked, "{:d} frames"),
         ("loop", summary.loop_hz, "{:.1f} Hz"),
         ("tracker, median", summary.tracker_ms_p50, "{:.3f} ms"),
         ("frame to command, median", summary.frame_to_command_ms_p50, "{:.2f} ms"),

@@ -191,7 +191,7 @@ class Link:
                 if received is not None:
                     self._offer(session, *received)
         except LinkLost as error:
-            self._say(f"lost the robot: {error}")
+            self._say("the recording has come to its end" if self.ended else f"lost the robot: {error}")
         finally:
             self._session = None
             session.raw.close()

@@ -148,9 +148,14 @@ class Control:
                 asking.linger = 0
                 asking.maxmsgsize = MAX_MESSAGE_BYTES
                 asking.connect(f"tcp://{self._host}:{self._port}")
-                asking.send(encode(request))
+                silent = f"{self._host}:{self._port} gives no answer (does the agent's --allow let this station in?)"
+                asking.sndtimeo = int(timeout_s * 1000)
+                try:
+                    asking.send(encode(request))
+                except zmq.Again as error:  # a station that is refused has nobody to send to
+                    raise LinkLost(silent) from error
                 if not asking.poll(int(timeout_s * 1000)):
-                    raise LinkLost(f"{self._host}:{self._port} gives no answer")
+                    raise LinkLost(silent)
                 return decode_reply(asking.recv())
 
     def listens(self) -> bool:

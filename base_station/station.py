@@ -193,7 +193,7 @@ class Station:
     def _look(self, tracker: Tracker, frame: Frame) -> TrackerResult:
         if self._learn_error and not self._learned:
             return TrackerResult(state=TrackingState.INITIALIZING, reason=self._learn_error)
-        return tracker.update(frame)
+        return _checked(tracker, tracker.update(frame))
 
     def _follow_in_shadow(self, frame: Frame, learned: bool) -> TrackerResult | None:
         if self._shadow is None:
@@ -203,4 +203,12 @@ class Station:
                 self._shadow.learn(frame, self._target)
             except ValueError as error:
                 return TrackerResult(state=TrackingState.INITIALIZING, reason=str(error))
-        return self._shadow.update(frame)
+        return _checked(self._shadow, self._shadow.update(frame))
+
+
+def _checked(tracker: Tracker, result: object) -> TrackerResult:
+    """A tracker of the user's own may return anything."""
+    if not isinstance(result, TrackerResult):
+        kind = type(tracker).__name__
+        raise StationError(f"Stopped the robot: {kind}.update returned {type(result).__name__}, not a TrackerResult.")
+    return result

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from types import FrameType
 
 from protocol import FRAME_PORT
+from protocol.frames import MAX_SIDE_PX
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
 from robot_agent.errors import AgentError, UsageError
@@ -27,6 +28,8 @@ def _size(text: str) -> tuple[int, int]:
     width, separator, height = text.lower().partition("x")
     if not separator or not width.isdecimal() or not height.isdecimal() or not (int(width) and int(height)):
         raise argparse.ArgumentTypeError(f"{text!r} is no size; write WIDTHxHEIGHT, such as 640x480")
+    if max(int(width), int(height)) > MAX_SIDE_PX:
+        raise argparse.ArgumentTypeError(f"{text!r} is too large; each side may have {MAX_SIDE_PX} px")
     return int(width), int(height)
 
 

@@ -14,6 +14,7 @@ from protocol import ProtocolError, Reply, Request, Telemetry, decode_request, e
 from protocol.records import MAX_MESSAGE_BYTES
 from robot_agent.access import AllowList, ZapGate
 from robot_agent.errors import AgentError
+from robot_agent.ports import advice
 
 log = logging.getLogger(__name__)
 
@@ -59,8 +60,7 @@ class Outlet:
             self._gate.close()
             self._context.destroy(linger=0)
             raise AgentError(
-                f"Port {port} on {host} cannot be opened ({error.strerror}): "
-                "another agent may be running; stop it, or choose another with --port."
+                f"Port {port} on {host} cannot be opened ({error.strerror}): {advice(error.errno)}"
             ) from error
         return opened
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import contextlib
+import errno
 import fcntl
 import logging
 import random
@@ -154,9 +155,15 @@ def _listen(host: str, port: int) -> socket.socket:
         raise AgentError(f"{port} is no port: give a base of 1..65532 with --port.") from error
     except OSError as error:
         raise AgentError(
-            f"Port {port} on {host} cannot be opened ({error.strerror or error}): "
-            "another agent may be running; stop it, or choose another with --port."
+            f"Port {port} on {host} cannot be opened ({error.strerror or error}): {advice(error.errno)}"
         ) from error
+
+
+def advice(number: int | None) -> str:
+    """What to do when a port cannot be opened, by the error's number."""
+    if number == errno.EADDRINUSE:
+        return "another agent may be running; stop it, or choose another with --port."
+    return "is the address of --listen one of this machine's (0.0.0.0 is all of them)?"
 
 
 def _tune(peer: socket.socket) -> None:

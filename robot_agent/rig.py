@@ -58,8 +58,14 @@ def build_rig(options: RigOptions) -> Rig:
         if name in (options.robot, options.camera) and options.robot != options.camera:
             raise UsageError(
                 f"Camera and robot of {name} are one world: use --robot {name} with --camera {name}, "
-                f"not --robot {options.robot} with --camera {options.camera}."
+                f"not --robot {options.robot} with --camera {options.camera}. To stream pictures without a "
+                "robot: --robot none."
             )
+    if options.robot in OWN_CAMERA and options.source is not None:
+        raise UsageError(
+            f"--source {options.source}: --robot {options.robot} has a camera of its own; to stream a recording use "
+            "--robot none --camera replay."
+        )
     if options.robot == "sim":
         return _simulation(options)
     if options.robot == "playground":

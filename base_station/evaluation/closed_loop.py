@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -36,6 +36,9 @@ class Summary:
     rhythm: str | None
     duration_s: float
     frames: int
+    frames_tracked: int
+    """In state TRACKING, of all frames since the target was learned; needs no truth."""
+    shadow_frames_tracked: int | None
     frames_dropped: int | None
     """By the agent, because the station was slow."""
     loop_hz: float | None
@@ -148,6 +151,11 @@ class LoopLog:
                 return
             time.sleep(0.005)
 
+    @property
+    def learned(self) -> bool:
+        """Whether a target was ever learned."""
+        return self._learned_key is not None
+
     def truths(self) -> list[tuple[float, Truth]]:
         """(time in s since the first frame, truth) of the frames seen, for plots."""
         with self._lock:
@@ -175,6 +183,8 @@ class LoopLog:
             rhythm=rhythm,
             duration_s=_rounded(times_s[-1] - zero_s if times_s else 0.0) or 0.0,
             frames=len(self._steps),
+            frames_tracked=_tracked(seen.result for seen in self._since_learned()),
+            shadow_frames_tracked=_tracked(seen.shadow for seen in self._since_learned()) if self._shadow else None,
             frames_dropped=self._dropped,
             loop_hz=_rounded((len(self._walls_s) - 1) / wall_s) if wall_s > 0 else None,
             tracker_ms_p50=_quantile_ms(self._tracker_s, 50),
@@ -200,8 +210,10 @@ class LoopLog:
     def _rows(self) -> list[_Row]:
         if self._learned_key is None:
             return []
-        after = self._steps[self._learned_at :]
-        return [_Row(seen, self._truths[seen.key]) for seen in after if seen.key in self._truths]
+        return [_Row(seen, self._truths[seen.key]) for seen in self._since_learned() if seen.key in self._truths]
+
+    def _since_learned(self) -> list[_Seen]:
+        return [] if self._learned_key is None else self._steps[self._learned_at :]
 
 
 def _rounded(value: float | None) -> float | None:
@@ -218,6 +230,10 @@ def _rms(values: list[float]) -> float | None:
 
 def _mean_abs(values: list[float], scale: float | None = 1.0) -> float | None:
     return _rounded(float(np.mean(np.abs(values))) * scale) if values and scale else None
+
+
+def _tracked(results: Iterable[TrackerResult | None]) -> int:
+    return sum(result is not None and result.state is TrackingState.TRACKING for result in results)
 
 
 def _steering(row: _Row) -> TrackerResult | None:

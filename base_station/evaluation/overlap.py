@@ -72,6 +72,11 @@ def read_results(path: Path) -> np.ndarray:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
+        if [int(row["frame"]) for row in rows] != list(range(1, len(rows) + 1)):
+            raise StationError(
+                f"{path} lacks frames, so its rows cannot be told to the truth's: replay the recording with the "
+                "agent's --rhythm lockstep."
+            )
         names = ("x", "y", "width", "height")
         return np.array([[float(row[name] or "nan") for name in names] for row in rows]).reshape(-1, 4)
     except OSError as error:

@@ -39,7 +39,10 @@ def load_mujoco() -> ModuleType:
     try:
         return importlib.import_module("mujoco")
     except ModuleNotFoundError as error:
-        raise AgentError("The simulator needs MuJoCo: install the extra with pip install 'zservo[sim]'.") from error
+        raise AgentError(
+            "The simulator needs MuJoCo: install the extra with pip install 'zservo[sim]'"
+            " (scripts/setup does). On a robot choose another: --robot thymio or none."
+        ) from error
     except Exception as error:  # PyOpenGL without its libraries raises many unrelated things
         raise AgentError(_NO_EGL) from error
 

@@ -45,7 +45,7 @@ def step(number: int, result: TrackerResult, command: Command) -> Step:
 def test_each_frame_is_a_row_with_what_the_tracker_could_tell_and_the_command(tmp_path):
     results = ResultsFile(tmp_path / "r.csv")
     results.write(step(1, SEEN, Command(-5, 6)))
-    results.write(step(3, LOST, Command(0, 0)))
+    results.write(step(2, LOST, Command(0, 0)))
     results.close()
     with (tmp_path / "r.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -63,6 +63,15 @@ def test_each_frame_is_a_row_with_what_the_tracker_could_tell_and_the_command(tm
     boxes = read_results(tmp_path / "r.csv")
     assert boxes[0].tolist() == [10.5, 20.25, 40, 30]
     assert np.isnan(boxes[1]).all()
+
+
+def test_results_that_lack_frames_are_not_scored_against_the_wrong_rows(tmp_path):
+    results = ResultsFile(tmp_path / "r.csv")
+    results.write(step(1, SEEN, Command(0, 0)))
+    results.write(step(3, SEEN, Command(0, 0)))
+    results.close()
+    with pytest.raises(StationError, match="lockstep"):
+        read_results(tmp_path / "r.csv")
 
 
 def test_a_path_that_cannot_be_written_is_told_before_the_robot_moves(tmp_path):

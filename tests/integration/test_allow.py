@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,3 +80,13 @@ def test_several_networks(programs: Programs, port: int, pictures: Path) -> None
         assert len(station.read_frame()) == 160 * 120
     with connect(port, source="127.0.0.3") as stranger:
         assert closed_by_peer(stranger)
+
+
+def test_a_station_that_is_refused_says_so_and_ends_when_told(programs: Programs, port: int, pictures: Path) -> None:
+    """Its question is dropped by ZMQ before it is sent: that must not hold the station for ever."""
+    programs.replay(port, pictures, "--allow", "10.0.0.0/8")
+    for _ in range(3):
+        station = programs.station(port, "--behaviour", "idle", "--no-status")
+        station.says("--allow", 15.0)
+        station.signal(signal.SIGTERM)
+        assert station.exit_code(10.0) == 1, "no frame ever came"

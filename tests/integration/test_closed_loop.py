@@ -169,3 +169,17 @@ def test_a_users_tracker_that_fails_stops_the_robot(
     assert "broken.py" in line and "line 8" in line and "RuntimeError" in line
     driven = telemetry.wait_for(lambda message: message.wheels_asked != (0, 0), what="wheels that turn")
     telemetry.wait_for(standing, 1.0, since_s=driven.monotonic_s + 0.5, what="standing wheels")
+
+
+def test_a_users_tracker_that_returns_nothing_is_named(programs: Programs, port: int, tmp_path: Path) -> None:
+    """The commonest slip of a first tracker: a forgotten return."""
+    (tmp_path / "mine.py").write_text(
+        "class Mine:\n"
+        "    def learn(self, frame, target): pass\n"
+        "    def update(self, frame): pass\n"
+        "    def close(self): pass\n"
+    )
+    programs.sim(port)
+    station = programs.station(port, "--duration", "5", tracker=f"{tmp_path / 'mine.py'}:Mine")
+    assert station.exit_code() == 1
+    assert "Mine.update returned NoneType, not a TrackerResult" in station.stderr

@@ -52,8 +52,9 @@ def test_station_target_outside_of_the_picture(programs: Programs, port: int, pi
     programs.replay(port, pictures)
     station = programs.station(port, "--target", "5000,5000,50,50", "--max-frames", "10")
 
-    assert station.exit_code() == 0
+    assert station.exit_code() == FAILED
     assert "cannot learn this target" in station.stderr
+    assert "5000,5000,50,50 was never learned" in station.stderr
 
 
 @pytest.mark.parametrize(

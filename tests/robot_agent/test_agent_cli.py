@@ -120,7 +120,15 @@ def test_rows_outside_of_the_picture_are_told_those_there_are(capsys, tmp_path):
 
 
 def test_a_picture_too_large_for_the_wire_is_told_the_bound(capsys, tmp_path):
-    assert "8192" in failure(capsys, *replay(tmp_path), "--size", "9000x10", code=cli.EXIT_USAGE)
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*replay(tmp_path), "--size", "9000x10"])
+    assert ended.value.code == cli.EXIT_USAGE
+    assert "8192" in capsys.readouterr().err
+
+
+def test_a_source_for_a_robot_with_its_own_camera_is_told_the_way(capsys, tmp_path):
+    said = failure(capsys, "--source", str(tmp_path), code=cli.EXIT_USAGE)
+    assert "--robot none --camera replay" in said
 
 
 def test_a_network_that_is_none_is_told_an_example(capsys, tmp_path):
