@@ -119,8 +119,8 @@ class Station:
 
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
-        self._forget_keys()
         self._on_wait()
+        self._forget_keys()
         duration_s = self.settings.duration_s
         if duration_s is not None and without_frames_s > max(duration_s, PATIENCE_S):
             raise StationError(f"No frame for {without_frames_s:.0f} s ({self._link.state}): the run ends here.")

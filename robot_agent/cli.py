@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
     simulation = parser.add_argument_group("simulation")
     simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
-    simulation.add_argument("--seed", type=int, default=0, help="of textures, courses, noise (default: %(default)s)")
+    simulation.add_argument("--seed", type=_seed, default=0, help="of textures, courses, noise (default: %(default)s)")
     simulation.add_argument("--faults", action="store_true", help="slip, lost frames, blur and noise all at once")
     simulation.add_argument("--fault", type=_fault, action="append", default=[], metavar="NAME=VALUE", help="one fault")
     return parser

@@ -126,6 +126,14 @@ def test_a_picture_too_large_for_the_wire_is_told_the_bound(capsys, tmp_path):
     assert "8192" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("seed", ["x", "-1", "99999999999999999999999"])
+def test_a_seed_that_telemetry_could_not_carry_is_told_the_bound(capsys, seed):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([f"--seed={seed}"])
+    assert ended.value.code == cli.EXIT_USAGE
+    assert "2147483648" in capsys.readouterr().err
+
+
 def test_a_source_for_a_robot_with_its_own_camera_is_told_the_way(capsys, tmp_path):
     said = failure(capsys, "--source", str(tmp_path), code=cli.EXIT_USAGE)
     assert "--robot none --camera replay" in said
