@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from base_station.types import TrackerResult
 from protocol import Command, RobotLimits
@@ -15,6 +15,25 @@ class Behaviour(Protocol):
     def command(self, result: TrackerResult | None, time_s: float) -> Command:
         """The wheel speeds for this frame. `result` is None before anything was learned; `time_s` is the frame's
         time."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a journey ended."""
+
+    there: bool
+    text: str
+    """For a person."""
+
+
+@runtime_checkable
+class Journey(Behaviour, Protocol):
+    """A behaviour that comes to an end."""
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """None while it goes on. May become None again: the robot was carried away, the target moved."""
         ...
 
 

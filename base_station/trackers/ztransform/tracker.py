@@ -21,6 +21,7 @@ from base_station.trackers.ztransform.refinement import refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 from base_station.trackers.ztransform.texture import texture_of
+from base_station.trackers.ztransform.viewing import view_angle_rad
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 
@@ -238,6 +239,7 @@ class ZTransformTracker:
             bearing_rad=frame.camera.bearing_rad(x),
             elevation_rad=frame.camera.elevation_rad(y),
             zoom=float(p[HEIGHT] / learned.placement[HEIGHT]),
+            view_angle_rad=None if learned.is_place else view_angle_rad(p, learned.placement, lens),
             confidence=min(max(look.confidence, 0.0), 1.0),
             box=outline(p, lens),
         )
