@@ -169,10 +169,10 @@ class FrameStamp:
 class Truth:
     """Simulation only: where things really are when the stamped frame was taken. For summaries, never for control.
 
-    `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is that of the picture's centre, seen from the camera,
-    from the robot's own heading (a fixed camera's optical axis; a pan-tilt's at rest), `range_m` its distance from the
-    camera, both None without a picture (in `turn` the bearing is that of the heading at the start). `in_view`: the
-    whole picture is in the frame and not hidden.
+    `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is the direction of the picture's centre, seen from
+    the camera, from the robot's heading (the optical axis of a fixed camera, and of one that pans by 0), `range_m` its
+    distance from the camera, both None without a picture (in `turn` the bearing is that of the heading at the start).
+    `in_view`: the whole picture is in the frame and not hidden.
     """
 
     robot: tuple[float, float, float]

@@ -1,4 +1,5 @@
-"""What the agent asks of a pan-tilt: turn the camera, tell where it looked. Servos and simulation are twins behind it."""
+"""What the agent asks of a pan-tilt: turn the camera, tell where it looked. Servos and simulation are twins behind
+it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Servos on a Raspberry Pi's pins through ServoBlaster, as the Pi-Pan of the thesis is driven.
 
-ServoBlaster's daemon (servod) reads lines such as `0=1500us` or `P1-7=1500us` from a FIFO and makes the pulses. It never
-answers, and its FIFO may be full, without reader, or not there: nothing here waits for it. A thread walks the servos
-from pulse to pulse at the slew rate, and finds the daemon again when it was restarted.
+ServoBlaster's daemon (servod) reads lines such as `0=1500us` or `P1-7=1500us` from a FIFO and makes the pulses. It
+never answers, and its FIFO may be full, without reader, or not there: nothing here waits for it. A thread walks the
+servos from pulse to pulse at the slew rate, and finds the daemon again when it was restarted.
 
 Lines and pulse limits: servod.c and README.txt of ServoBlaster in R. Hirst's PiBits.
 """
@@ -120,7 +120,8 @@ class ServoBlaster:
                 self._slew.look(self._clock(), 0.0, 0.0)
                 self._closing_s = max(self._clock(), self._slew.arrival_s())
                 self._changed.notify()
-        self._thread.join()
+        way_s = 2.0 * max(*self.limits.pan_rad, *self.limits.tilt_rad) / self.limits.slew_rad_s
+        self._thread.join(way_s + 2.0 * CLOSE_PATIENCE_S)
         if self._device is not None:
             os.close(self._device)
             self._device = None
@@ -188,7 +189,7 @@ def _open(device: str) -> int:
     try:
         descriptor = os.open(device, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
-        raise PanTiltError(f"There is no servo device {device}: {start}, or name another with --servo-device.") from error
+        raise PanTiltError(f"There is no servo device {device}: {start}, or name it with --servo-device.") from error
     except OSError as error:
         if error.errno == errno.ENXIO:
             raise PanTiltError(f"Nobody reads the servo device {device}: {start}.") from error

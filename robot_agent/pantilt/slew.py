@@ -17,7 +17,7 @@ PI_PAN = PanTiltLimits(
     tilt_rad=(-math.radians(55.0), math.radians(55.0)),
     slew_rad_s=math.radians(300.0),
 )
-"""The thesis's Pi-Pan: pan 180, tilt 110 degrees. The slew rate is what a micro servo can follow with a camera on it."""
+"""The thesis's Pi-Pan: pan 180, tilt 110 degrees. The slew rate is one that a micro servo can follow with a camera."""
 SERVO_LAG_S = 0.03
 """A servo comes so much later than its pulses say: one period of them, and its own response."""
 KEPT = 256

@@ -41,7 +41,10 @@ class Scene:
         noise_sigma: float,
         pan_tilt: bool = False,
     ) -> None:
-        """`pan_tilt`: the camera has the joints. Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo."""
+        """`pan_tilt`: the camera stands on its joints.
+
+        Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo.
+        """
         if seed < 0:
             raise AgentError(f"The seed must not be negative, but is {seed}.")
         self.width, self.height = width, height

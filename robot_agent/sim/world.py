@@ -124,7 +124,7 @@ class World:
             self._wheels = (max(-limit, min(limit, left)), max(-limit, min(limit, right)))
 
     def look(self, pan_rad: float, tilt_rad: float) -> None:
-        """Turn the camera there, from now on. Raises ValueError when it is fixed, or for an angle that is not finite."""
+        """Turn the camera there from now on. Raises ValueError when it is fixed, or an angle is not finite."""
         with self._lock:
             if self._slew is None:
                 raise ValueError("this world's camera is fixed")

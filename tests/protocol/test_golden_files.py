@@ -52,7 +52,8 @@ from protocol.messages import ACTIONS
 from protocol.records import MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_TEXT
 
 MESSAGES = (
-    Telemetry, FrameStamp, Truth, Request, Reply, Hello, Intrinsics, RobotLimits, PanTiltLimits, Scenario, ScenarioEvent,
+    Telemetry, FrameStamp, Truth, Request, Reply, Hello, Intrinsics, RobotLimits, PanTiltLimits, Scenario,
+    ScenarioEvent,
 )  # fmt: skip
 PORTS = (FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT)
 
