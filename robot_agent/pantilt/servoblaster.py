@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 
 SHORTEST_US, LONGEST_US = 500, 2500
 """servod refuses other pulses unless it was started with other limits; 0 would switch the servo off."""
+STEP_US = 10
+"""servod cuts pulses to such steps; we round, and know which angle the camera really has."""
 PERIOD_S = 0.02
 """Servos take one pulse in this time; more lines than that are for nothing."""
 RETRY_S = 0.5
@@ -58,22 +60,35 @@ class ServoBlasterSettings:
         if self.pan_servo == self.tilt_servo:
             raise UsageError(f"Pan and tilt cannot both be servo {self.pan_servo}.")
         for pulses in (self.pan_pulse_us, self.tilt_pulse_us):
-            if not all(SHORTEST_US <= pulse <= LONGEST_US for pulse in pulses) or pulses[0] == pulses[1]:
+            if not all(SHORTEST_US <= pulse <= LONGEST_US for pulse in pulses) or abs(pulses[0] - pulses[1]) < STEP_US:
                 raise UsageError(
                     f"Pulses {pulses[0]}:{pulses[1]} us: give two different ones from {SHORTEST_US} to {LONGEST_US}."
                 )
 
     def pulses_us(self, pan_rad: float, tilt_rad: float) -> dict[str, int]:
-        """Pulse width by servo, for angles within the limits."""
+        """Pulse width by servo, in whole steps of servod, for angles within the limits."""
         return {
             self.pan_servo: _pulse_us(pan_rad, self.limits.pan_rad, self.pan_pulse_us),
             self.tilt_servo: _pulse_us(tilt_rad, self.limits.tilt_rad, self.tilt_pulse_us),
         }
 
+    def angles_rad(self, pan_rad: float, tilt_rad: float) -> tuple[float, float]:
+        """The angles that the pulses for these angles make: a step is about a degree."""
+        pulses = self.pulses_us(pan_rad, tilt_rad)
+        return (
+            _angle_rad(pulses[self.pan_servo], self.limits.pan_rad, self.pan_pulse_us),
+            _angle_rad(pulses[self.tilt_servo], self.limits.tilt_rad, self.tilt_pulse_us),
+        )
+
 
 def _pulse_us(angle_rad: float, span_rad: tuple[float, float], span_us: tuple[int, int]) -> int:
     (low_rad, high_rad), (low_us, high_us) = span_rad, span_us
-    return round(low_us + (angle_rad - low_rad) / (high_rad - low_rad) * (high_us - low_us))
+    return STEP_US * round((low_us + (angle_rad - low_rad) / (high_rad - low_rad) * (high_us - low_us)) / STEP_US)
+
+
+def _angle_rad(pulse_us: int, span_rad: tuple[float, float], span_us: tuple[int, int]) -> float:
+    (low_rad, high_rad), (low_us, high_us) = span_rad, span_us
+    return low_rad + (pulse_us - low_us) / (high_us - low_us) * (high_rad - low_rad)
 
 
 class ServoBlaster:
@@ -111,7 +126,8 @@ class ServoBlaster:
         present counts."""
         with self._changed:
             now_s = self._clock()
-            return self._slew.at((time_s if now_s - MEMORY_S <= time_s <= now_s else now_s) - SERVO_LAG_S)
+            then_s = time_s if now_s - MEMORY_S <= time_s <= now_s else now_s
+            return self._settings.angles_rad(*self._slew.at(then_s - SERVO_LAG_S))
 
     def close(self) -> None:
         """Centre the camera and wait for it, but no longer than the way and a second take. May be called twice."""

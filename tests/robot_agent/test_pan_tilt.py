@@ -153,6 +153,13 @@ def test_angles_become_pulses_between_those_at_the_limits():
     assert settings.pulses_us(math.radians(-45), math.radians(-55)) == {"0": 1050, "1": 2000}
 
 
+def test_pulses_are_whole_steps_of_servod_and_the_angle_told_is_the_one_they_make():
+    settings = ServoBlasterSettings(pan_pulse_us=(600, 2400), tilt_pulse_us=(2000, 1000))
+    for degrees, pulse in ((10.4, 1600), (10.6, 1610), (-0.6, 1490)):
+        assert settings.pulses_us(math.radians(degrees), 0.0)["0"] == pulse
+        assert settings.angles_rad(math.radians(degrees), 0.0) == pytest.approx((math.radians((pulse - 1500) / 10), 0))
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
