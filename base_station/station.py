@@ -29,8 +29,8 @@ PATIENCE_S = 10.0
 LOCKSTEP_LOOK_S = 0.5
 """In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
 NO_PAN_TILT = (
-    "This robot's camera cannot be turned: leave out --pan, or start its agent with --pan-tilt servoblaster (--pan-tilt "
-    "sim for the simulated robot)."
+    "This robot's camera cannot be turned: leave out --pan, or start its agent with --pan-tilt servoblaster "
+    "(--pan-tilt sim for the simulated robot)."
 )
 
 
