@@ -48,6 +48,8 @@ class Run:
     """ztransform, phase, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
     """follow, idle, pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
+    pan: bool = False
+    """follow: turn the camera on its pan-tilt after the target, and the body after the camera."""
     target: str | None = None
     """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
     view."""
@@ -160,6 +162,8 @@ def _check(run: Run) -> None:
         check_behaviour(run.behaviour)
     except ValueError as error:
         raise StationError(str(error), usage=True) from error
+    if run.pan and run.behaviour != "follow":
+        raise StationError(f"--pan goes with --behaviour follow, not with {run.behaviour}.", usage=True)
     for name, value in (("--duration", run.duration), ("--max-frames", run.max_frames)):
         if value is not None and value <= 0:
             raise StationError(f"{name} must be positive, not {value}.", usage=True)
@@ -183,6 +187,7 @@ def _run(run: Run, console: Console) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     settings = StationSettings(
         behaviour=run.behaviour,
+        pan=run.pan,
         target=_parse_box(run.target) if run.target is not None else None,
         duration_s=run.duration,
         max_frames=run.max_frames,

@@ -18,7 +18,8 @@ import zmq
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
 from base_station.geometry import PinholeCamera
-from base_station.sockets import Control, LinkLost, RawConnection, TelemetryFeed, UnknownHost
+from base_station.head import Angles, HeadAngles
+from base_station.sockets import Control, ControlLine, LinkLost, RawConnection, TelemetryFeed, UnknownHost
 from base_station.types import Frame
 from protocol import (
     FRAME_PORT,
@@ -87,6 +88,7 @@ class Link:
         self._feed: TelemetryFeed | None = None
         self._session: _Session | None = None
         self._clock = FrameClock()
+        self._angles = HeadAngles()
         self._fresh = threading.Condition()
         self._newest: tuple[_Session, int, bytearray, float] | None = None
         self._failure: StationError | None = None
@@ -146,6 +148,14 @@ class Link:
     def ask(self, request: Request) -> Reply | None:
         """Ask the agent on its control port. None when nobody listens there. Raises LinkLost, ProtocolError."""
         return self._control.ask(request)
+
+    def control_line(self) -> ControlLine:
+        """A connection to the control port of one's own; close it before the link ends."""
+        return ControlLine(self._context, self.settings.host, self.settings.port + 3)
+
+    def camera_angles(self, frame: Frame) -> Angles | None:
+        """Pan and tilt of the camera when the frame was taken; None when it is fixed, or nothing is known."""
+        return self._angles.of((frame.connection, frame.number))
 
     @property
     def connected(self) -> bool:
@@ -262,6 +272,7 @@ class Link:
         self.telemetry = telemetry
         stamp = telemetry.frame
         if stamp is not None and telemetry.station is not None:
+            self._angles.note(telemetry.station, stamp)  # first: in lockstep the loop waits for the time only
             self._clock.note((telemetry.station, stamp.number), stamp.capture_s)
         self.ended = self.ended or telemetry.ended
         if self._on_telemetry is not None:

@@ -14,6 +14,7 @@ COLUMNS = (
     "frame", "time_s", "state", "reason", "x", "y", "width", "height",
     "shift_px", "shift_y_px", "bearing_deg", "elevation_deg", "zoom", "confidence", "left", "right",
     "shadow_state", "shadow_bearing_deg", "shadow_zoom", "shadow_confidence",
+    "pan_deg",
 )  # fmt: skip
 
 
@@ -49,6 +50,7 @@ class ResultsFile:
                 step.command.left,
                 step.command.right,
                 *seen_in_shadow,
+                _text(_degrees(step.pan_rad)),
             ]
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import logging
+import math
 import signal
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,9 @@ from protocol.frames import MAX_SIDE_PX
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
 from robot_agent.errors import AgentError, UsageError
-from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, ROBOTS, RigOptions, build_rig
+from robot_agent.pantilt.servoblaster import ServoBlasterSettings
+from robot_agent.pantilt.slew import PI_PAN
+from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, PAN_TILTS, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS, SafetySettings
 from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
@@ -48,6 +51,13 @@ def _positive(text: str) -> float:
     if not 0 < value < 10_000:
         raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
     return value
+
+
+def _pulses(text: str) -> tuple[int, int]:
+    low, separator, high = text.partition(":")
+    if not separator or not low.isdecimal() or not high.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} are no pulses; write US:US, such as 600:2400")
+    return int(low), int(high)
 
 
 def _seed(text: str) -> int:
@@ -99,6 +109,15 @@ def _parser() -> argparse.ArgumentParser:
     thymio = parser.add_argument_group("thymio")
     thymio.add_argument("--bus", choices=BUSES, default="session", help="D-Bus bus of asebamedulla (default: session)")
     thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
+    servos = ServoBlasterSettings()
+    turning = parser.add_argument_group("pan-tilt").add_argument
+    turning("--pan-tilt", choices=PAN_TILTS, default="none", help="what turns the camera (default: %(default)s)")
+    turning("--slew", type=_positive, default=math.degrees(PI_PAN.slew_rad_s), metavar="DEG_S", help="(default: 300)")
+    turning("--servo-device", default=servos.device, metavar="FIFO", help="ServoBlaster's (default: %(default)s)")
+    turning("--pan-servo", default=servos.pan_servo, metavar="SERVO", help="number or pin (default: %(default)s)")
+    turning("--tilt-servo", default=servos.tilt_servo, metavar="SERVO", help="number or pin (default: %(default)s)")
+    turning("--pan-pulse", type=_pulses, default=servos.pan_pulse_us, metavar="US:US", help="90 degrees right and left")
+    turning("--tilt-pulse", type=_pulses, default=servos.tilt_pulse_us, metavar="US:US", help="55 degrees down and up")
     simulation = parser.add_argument_group("simulation")
     simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
     simulation.add_argument("--seed", type=_seed, default=0, help="of textures, courses, noise (default: %(default)s)")
@@ -140,6 +159,17 @@ def _safety(options: argparse.Namespace) -> SafetySettings:
     return settings
 
 
+def _servos(options: argparse.Namespace) -> ServoBlasterSettings:
+    return ServoBlasterSettings(
+        device=options.servo_device,
+        pan_servo=options.pan_servo,
+        tilt_servo=options.tilt_servo,
+        pan_pulse_us=options.pan_pulse,
+        tilt_pulse_us=options.tilt_pulse,
+        limits=dataclasses.replace(PI_PAN, slew_rad_s=math.radians(options.slew)),
+    )
+
+
 def _end_building_on_signals() -> None:
     """Until the agent runs, a signal simply ends the program."""
 
@@ -160,6 +190,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
             fps=options.fps,
             bus=options.bus,
             node=options.node,
+            pan_tilt=options.pan_tilt,
+            servos=_servos(options),
             lockstep=options.rhythm == "lockstep",
             scenario=options.scenario,
             seed=options.seed,
@@ -176,9 +208,19 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         safety=_safety(options),
     )
     try:
-        agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)
+        agent = Agent(
+            rig.camera,
+            rig.robot,
+            settings,
+            pan_tilt=rig.pan_tilt,
+            scenario=rig.scenario,
+            clock=rig.clock,
+            stepped=rig.stepped,
+        )
     except AgentError:
         rig.robot.close()
+        if rig.pan_tilt is not None:
+            rig.pan_tilt.close()
         rig.camera.close()
         raise
 

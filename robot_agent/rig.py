@@ -1,14 +1,17 @@
-"""Which camera goes with which robot: builds both from their names, with the clock that suits them."""
+"""Which camera goes with which robot and pan-tilt: builds them from their names, with the clock that suits them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from protocol import Scenario
 from robot_agent.cameras.base import Camera
-from robot_agent.errors import AgentError, UsageError
+from robot_agent.errors import UsageError
+from robot_agent.pantilt.base import PanTilt
+from robot_agent.pantilt.servoblaster import ServoBlaster, ServoBlasterSettings
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
 from robot_agent.sim.faults import Faults
@@ -18,6 +21,7 @@ ROBOTS = ("sim", "thymio", "playground", "none")
 OWN_CAMERA = ("sim", "playground")
 """Robots that come with a camera of their own, of the same name: the two are one world."""
 BUSES = ("session", "system")
+PAN_TILTS = ("none", "servoblaster", "sim")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +39,9 @@ class RigOptions:
     bus: str = "session"
     node: str = "thymio-II"
     """The Thymio's D-Bus bus, and its name in the Aseba network."""
+    pan_tilt: str = "none"
+    servos: ServoBlasterSettings = field(default_factory=ServoBlasterSettings)
+    """Of `servoblaster`; the limits hold for `sim` too."""
     lockstep: bool = False
     scenario: str = "leader"
     seed: int = 0
@@ -43,17 +50,20 @@ class RigOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A camera and a robot. `clock`: what safety goes by; `stepped`: it stands still between two lockstep exchanges."""
+    """A camera, on a pan-tilt or fixed, and a robot. `clock`: what safety goes by; `stepped`: it stands still between
+    two lockstep exchanges."""
 
     camera: Camera
     robot: Robot
+    pan_tilt: PanTilt | None = None
     scenario: Scenario | None = None
     clock: Callable[[], float] = time.monotonic
     stepped: bool = False
 
 
 def build_rig(options: RigOptions) -> Rig:
-    """Open camera and robot. Raises AgentError, in words, when one is not to be had or they do not go together."""
+    """Open camera, robot and pan-tilt. Raises AgentError, in words, when one is not to be had or they do not go
+    together."""
     for name in OWN_CAMERA:
         if name in (options.robot, options.camera) and options.robot != options.camera:
             raise UsageError(
@@ -66,16 +76,25 @@ def build_rig(options: RigOptions) -> Rig:
             f"--source {options.source}: --robot {options.robot} has a camera of its own; to stream a recording use "
             "--robot none --camera replay."
         )
+    simulated = options.robot in OWN_CAMERA
+    if options.pan_tilt == ("servoblaster" if simulated else "sim"):
+        raise UsageError(
+            f"--pan-tilt {options.pan_tilt} does not turn this camera: use "
+            + ("--pan-tilt sim with --robot sim." if simulated else "--pan-tilt servoblaster.")
+        )
     if options.robot == "sim":
         return _simulation(options)
     if options.robot == "playground":
         return _playground(options)
-    camera = _open_camera(options)
-    try:
-        return Rig(camera=camera, robot=_open_robot(options))
-    except AgentError:
-        camera.close()
-        raise
+    with ExitStack() as opened:
+        camera = _open_camera(options)
+        opened.callback(camera.close)
+        pan_tilt = ServoBlaster(options.servos) if options.pan_tilt == "servoblaster" else None
+        if pan_tilt is not None:
+            opened.callback(pan_tilt.close)
+        rig = Rig(camera=camera, robot=_open_robot(options), pan_tilt=pan_tilt)
+        opened.pop_all()
+        return rig
 
 
 def _open_robot(options: RigOptions) -> Robot:
@@ -106,6 +125,7 @@ def _open_camera(options: RigOptions) -> Camera:
 
 def _simulation(options: RigOptions) -> Rig:
     from robot_agent.cameras.sim import SimCamera
+    from robot_agent.pantilt.sim import SimPanTilt
     from robot_agent.robots.sim import SimRobot
     from robot_agent.sim.world import World
 
@@ -117,10 +137,12 @@ def _simulation(options: RigOptions) -> Rig:
         height=height,
         fps=options.fps or 30.0,
         faults=options.faults,
+        pan_tilt=options.servos.limits if options.pan_tilt == "sim" else None,
     )
     return Rig(
         camera=SimCamera(world, realtime=not options.lockstep),
         robot=SimRobot(world),
+        pan_tilt=SimPanTilt(world) if world.pan_tilt is not None else None,
         scenario=world.scenario,
         clock=(lambda: world.time_s) if options.lockstep else time.monotonic,
         stepped=options.lockstep,
@@ -132,6 +154,8 @@ def _playground(options: RigOptions) -> Rig:
     from robot_agent.playground.world import PlaygroundWorld
     from robot_agent.robots.playground import PlaygroundRobot
 
+    if options.pan_tilt != "none":
+        raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
     if options.lockstep:
         raise UsageError("The playground keeps its own time: use --rhythm free (or --robot sim for lockstep).")
     faults = options.faults

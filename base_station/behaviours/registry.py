@@ -7,7 +7,7 @@ import queue
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Behaviour, Drive
+from base_station.behaviours.base import Behaviour, Drive, Head
 from base_station.behaviours.follow import Follow
 from base_station.behaviours.scripted import Idle, Pattern
 from base_station.behaviours.teleop import Teleop
@@ -19,10 +19,12 @@ class BehaviourContext:
 
     drive: Drive
     keys: queue.SimpleQueue[str]
+    head: Head | None = None
+    """The camera's pan-tilt, when it is to be used."""
 
 
 BEHAVIOURS: dict[str, Callable[[BehaviourContext], Behaviour]] = {
-    "follow": lambda context: Follow(context.drive),
+    "follow": lambda context: Follow(context.drive, head=context.head),
     "idle": lambda context: Idle(),
     "pattern": lambda context: Pattern(),
     "teleop": lambda context: Teleop(context.drive, context.keys),

@@ -32,6 +32,7 @@ class RunPicture:
         self._result: TrackerResult | None = None
         self._zero_s: float | None = None
         self._bearings: list[tuple[float, float]] = []
+        self._pans: list[tuple[float, float]] = []
         self._zooms: list[tuple[float, float]] = []
 
     def note_step(self, step: Step) -> None:
@@ -41,7 +42,9 @@ class RunPicture:
             self._zero_s = step.frame.time_s
         time_s = step.frame.time_s - self._zero_s
         if step.result.bearing_rad is not None:
-            self._bearings.append((time_s, math.degrees(step.result.bearing_rad)))
+            self._bearings.append((time_s, math.degrees((step.pan_rad or 0.0) + step.result.bearing_rad)))
+        if step.pan_rad is not None:
+            self._pans.append((time_s, math.degrees(step.pan_rad)))
         if step.result.zoom is not None:
             self._zooms.append((time_s, 100 / step.result.zoom))
 
@@ -55,7 +58,7 @@ class RunPicture:
         _draw_curves(
             canvas[PANEL_H:, :PANEL_W],
             "bearing of the target, degrees (left positive)",
-            [("true", BLUE, true_bearings), ("seen", ORANGE, self._bearings)],
+            [("true", BLUE, true_bearings), ("seen", ORANGE, self._bearings), ("pan", GREEN, self._pans)],
         )
         if ranges:
             _draw_curves(canvas[PANEL_H:, PANEL_W:], "distance to the target, cm", [("true", BLUE, ranges)])
@@ -146,7 +149,7 @@ def _draw_curves(panel: np.ndarray, title: str, curves: list[Curve]) -> None:
     for number, (name, color, curve) in enumerate(curves):
         if curve:
             cv2.polylines(panel, [to_px(curve)], False, color, 1, cv2.LINE_AA)
-            _text(panel, name, (right - 110 + 60 * number, 24), color=color)
+            _text(panel, name, (right - 170 + 60 * number, 24), color=color)
     _text(panel, "0", (left, bottom + 18), scale=0.4)
     _text(panel, f"{end_s:.0f} s", (right - 30, bottom + 18), scale=0.4)
 

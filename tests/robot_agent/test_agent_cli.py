@@ -172,3 +172,25 @@ def test_a_rig_without_robot_takes_commands_and_moves_nothing(tmp_path):
 def test_a_rig_of_half_a_simulation_is_refused():
     with pytest.raises(AgentError, match="one world"):
         build_rig(RigOptions(robot="none", camera="sim"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pan-tilt", "servoblaster"], "--pan-tilt sim with --robot sim"),
+        (["--robot", "playground", "--pan-tilt", "sim"], "camera is fixed"),
+        (["--robot", "none", "--camera", "replay", "--source", "x", "--pan-tilt", "sim"], "--pan-tilt servoblaster"),
+        (["--pan-tilt", "sim", "--pan-pulse", "100:3000"], "from 500 to 2500"),
+        (["--pan-tilt", "sim", "--tilt-servo", "0"], "cannot both be servo 0"),
+        (["--pan-tilt", "sim", "--pan-servo", "left"], "'left' is no servo"),
+    ],
+)
+def test_a_pan_tilt_that_cannot_be_is_wrong_usage(capsys, options, said):
+    assert cli.main(options) == cli.EXIT_USAGE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+@pytest.mark.parametrize("pulses", ["wide", "600", "600:", ":2400", "-600:2400", "600:2400:1"])
+def test_pulses_are_two_whole_numbers(capsys, pulses):
+    assert "are no pulses; write US:US, such as 600:2400" in usage_error(capsys, f"--pan-pulse={pulses}")
