@@ -40,7 +40,7 @@ def _rows(text: str) -> tuple[int, int]:
     return int(first), int(past_last)
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -73,21 +73,24 @@ def _fault(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE with one of {', '.join(names)}") from None
 
 
-def _parser() -> argparse.ArgumentParser:
+def agent_parser(*, add_help: bool = True) -> argparse.ArgumentParser:
+    """The agent's options. Without `add_help`: for a parser that has them too (argparse's `parents`)."""
     parser = argparse.ArgumentParser(
         prog="robot-agent",
+        add_help=add_help,
         description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on "
         "the two ports after these. Without options: the simulated robot.",
+        epilog="`robot-agent doctor` with the same options checks everything that they need, and measures wheel trim.",
     )
     add = parser.add_argument
     add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
     add("--camera", choices=CAMERAS, help="where pictures come from (default: a simulated robot's own, else usb)")
     add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
     add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
-    add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
+    add("--fps", type=positive, help="pictures per second (default: 30; a replay's own times)")
     add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
     add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
-    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
+    add("--speed-scale", type=positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
     add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
     add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
@@ -109,7 +112,12 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the agent. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
-    parser = _parser()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments and arguments[0] == "doctor":
+        from robot_agent.doctor.cli import main as doctor
+
+        return doctor(arguments[1:])
+    parser = agent_parser()
     options = parser.parse_args(arguments)
     logging.basicConfig(
         level=logging.WARNING if options.quiet else logging.INFO,
@@ -131,7 +139,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_DONE
 
 
-def _safety(options: argparse.Namespace) -> SafetySettings:
+def safety_settings(options: argparse.Namespace) -> SafetySettings:
+    """What the options say about safety."""
     settings = PRESETS[options.safety]
     if options.no_edge_stop:
         settings = dataclasses.replace(settings, edge=None)
@@ -150,22 +159,25 @@ def _end_building_on_signals() -> None:
         signal.signal(number, end)
 
 
-def _serve(options: argparse.Namespace, faults: Faults) -> None:
-    rig = build_rig(
-        RigOptions(
-            robot=options.robot,
-            camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
-            source=options.source,
-            size=options.size,
-            fps=options.fps,
-            bus=options.bus,
-            node=options.node,
-            lockstep=options.rhythm == "lockstep",
-            scenario=options.scenario,
-            seed=options.seed,
-            faults=faults,
-        )
+def rig_options(options: argparse.Namespace, faults: Faults | None = None) -> RigOptions:
+    """What the options say about robot and camera."""
+    return RigOptions(
+        robot=options.robot,
+        camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
+        source=options.source,
+        size=options.size,
+        fps=options.fps,
+        bus=options.bus,
+        node=options.node,
+        lockstep=options.rhythm == "lockstep",
+        scenario=options.scenario,
+        seed=options.seed,
+        faults=faults or Faults(),
     )
+
+
+def _serve(options: argparse.Namespace, faults: Faults) -> None:
+    rig = build_rig(rig_options(options, faults))
     settings = AgentSettings(
         host=options.listen,
         port=options.port,
@@ -173,7 +185,7 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         rhythm=options.rhythm,
         rows=options.rows,
         speed_scale=options.speed_scale,
-        safety=_safety(options),
+        safety=safety_settings(options),
     )
     try:
         agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)

@@ -11,6 +11,7 @@ from robot_agent.cameras.base import Camera
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
+from robot_agent.settings_file import load_robot_settings
 from robot_agent.sim.faults import Faults
 
 CAMERAS = ("usb", "picamera2", "replay", "sim", "playground")
@@ -50,6 +51,8 @@ class Rig:
     scenario: Scenario | None = None
     clock: Callable[[], float] = time.monotonic
     stepped: bool = False
+    bus: str | None = None
+    """Address of the D-Bus bus that a playground has for itself."""
 
 
 def build_rig(options: RigOptions) -> Rig:
@@ -70,23 +73,25 @@ def build_rig(options: RigOptions) -> Rig:
         return _simulation(options)
     if options.robot == "playground":
         return _playground(options)
-    camera = _open_camera(options)
+    camera = open_camera(options)
     try:
-        return Rig(camera=camera, robot=_open_robot(options))
+        return Rig(camera=camera, robot=open_robot(options))
     except AgentError:
         camera.close()
         raise
 
 
-def _open_robot(options: RigOptions) -> Robot:
+def open_robot(options: RigOptions) -> Robot:
+    """The robot alone, of those that have no camera of their own. Raises AgentError when it is not to be had."""
     if options.robot == "thymio":
         from robot_agent.robots.thymio import ThymioRobot
 
-        return ThymioRobot(bus=options.bus, node=options.node)
+        return ThymioRobot(bus=options.bus, node=options.node, trim=load_robot_settings().trim)
     return NoRobot()
 
 
-def _open_camera(options: RigOptions) -> Camera:
+def open_camera(options: RigOptions) -> Camera:
+    """The camera alone, of those that are no part of a robot. Raises AgentError when it is not to be had."""
     width, height = options.size or (640, 480)
     fps = options.fps or 30.0
     if options.camera == "usb":
@@ -151,4 +156,4 @@ def _playground(options: RigOptions) -> Rig:
     except BaseException:
         world.close()
         raise
-    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario)
+    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario, bus=world.programs.bus)
