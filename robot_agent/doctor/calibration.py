@@ -17,10 +17,10 @@ from collections.abc import Callable
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.robots.base import Robot
 from robot_agent.safety import LinkState, SafetySettings, SafetyState, SafetySupervisor, WheelCommand
+from robot_agent.settings_file import MAX_TRIM, MIN_TRIM
 
 LONGEST_RUN_CM = 1000.0
 PERIOD_S = 0.02
-SMALLEST_TRIM, LARGEST_TRIM = 0.5, 2.0
 
 
 def wheel_ratio(ran_cm: float, veered_cm: float, wheel_base_cm: float) -> float:
@@ -49,7 +49,7 @@ def new_trim(ratio: float, old_trim: float, speed: int) -> float:
     the result is beyond what a trim may be.
     """
     trim = ratio * speed / round(speed / old_trim)
-    if not SMALLEST_TRIM <= trim <= LARGEST_TRIM:
+    if not MIN_TRIM <= trim <= MAX_TRIM:
         raise AgentError(
             f"A trim of {trim:.2f} would mean that one wheel hardly turns: look at the wheels, then measure again."
         )

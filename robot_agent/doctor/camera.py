@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
+import glob
+import os
 import time
 from collections.abc import Callable, Iterator
 
@@ -50,3 +53,16 @@ def check_camera(camera: Camera, asked_fps: float, clock: Callable[[], float] = 
         yield Finding("picture", Verdict.WARNING, said, "take the lid off, switch the light on")
     else:
         yield Finding("picture", Verdict.OK, f"mean gray {mean:.0f}, deviation {deviation:.0f}")
+
+
+def missing_camera(kind: str) -> str:
+    """What brings a camera that cannot be opened, as far as this machine can tell."""
+    devices = sorted(glob.glob("/dev/video*"))
+    closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
+    if closed:
+        return f"sudo usermod -aG video {getpass.getuser()}, then log out and in again ({closed[0]} may not be opened)"
+    if kind == "picamera2":
+        return "sudo apt install python3-picamera2, and seat the ribbon cable; rpicam-hello must show a picture"
+    if kind == "usb" and not devices:
+        return "plug a USB camera in; ls /dev/video* must list it"
+    return "name one that is there with --source; is another program (an agent) using it?"

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import getpass
+import logging
 import re
 import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -29,13 +31,13 @@ from robot_agent.cli import (
 )
 from robot_agent.doctor import calibration, machine
 from robot_agent.doctor import link as network
-from robot_agent.doctor.camera import check_camera
+from robot_agent.doctor.camera import check_camera, missing_camera
 from robot_agent.doctor.findings import Check, Finding, Verdict, examine, line, summary
 from robot_agent.doctor.thymio import check_thymio
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.rig import OWN_CAMERA, RigOptions, build_rig, open_camera, open_robot
 from robot_agent.robots.base import Robot
-from robot_agent.settings_file import RobotSettings, load_robot_settings, save_robot_settings
+from robot_agent.settings_file import load_robot_settings, save_robot_settings
 
 AGENT_UNIT = "zservo-agent.service"
 READY_S = 3.0
@@ -92,6 +94,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     for number in END_SIGNALS:
         signal.signal(number, _interrupt)
+    logging.basicConfig(level=logging.ERROR, format="robot-agent doctor: %(message)s")
     try:
         if options.sink:
             return _sink(options)
@@ -150,7 +153,12 @@ def _checks(options: argparse.Namespace) -> list[tuple[str, Check]]:
 
 
 def _check_camera(rig: RigOptions, fps: float) -> Iterator[Finding]:
-    with contextlib.closing(open_camera(rig)) as camera:
+    try:
+        camera = open_camera(rig)
+    except AgentError as error:
+        yield Finding("camera", Verdict.FAILED, str(error), missing_camera(rig.camera))
+        return
+    with contextlib.closing(camera):
         yield from check_camera(camera, rig.fps or (camera.fps if rig.camera == "replay" else fps))
 
 
@@ -241,16 +249,12 @@ def _calibrate(options: argparse.Namespace) -> int:
         if not options.yes:
             _confirm(speed, options.run_s)
         _drive(options, speed)
-        measured = (
-            _ask("How many cm did it come along the line? "),
-            _ask("How many cm beside the line did it end (left of it positive, right negative)? "),
-        )
-    ratio = calibration.wheel_ratio(*measured, wheel_base_cm=100 * RobotLimits().wheel_base_m)
+        ran_cm = _ask("How many cm did it come along the line? ")
+        measured = ran_cm, _ask("How many cm beside the line did it end (left of it positive, right negative)? ")
+    ratio = calibration.wheel_ratio(measured[0], measured[1], wheel_base_cm=100 * RobotLimits().wheel_base_m)
     trim = calibration.new_trim(ratio, old.trim, speed)
-    save_robot_settings(RobotSettings(trim=trim))
-    print(
-        f"trim {trim:.3f} stored (it was {old.trim:.3f}): the right wheel ran {100 * (ratio - 1):+.1f} % of the left's"
-    )
+    path = save_robot_settings(replace(old, trim=trim))
+    print(f"trim {trim:.3f} stored in {path} (it was {old.trim:.3f}); right wheel over left in this run: {ratio:.3f}")
     print("Start the agent again, or measure once more: the robot should now keep to the line.")
     return EXIT_DONE
 
@@ -258,8 +262,8 @@ def _calibrate(options: argparse.Namespace) -> int:
 def _confirm(speed: int, run_s: float) -> None:
     way_cm = 100 * speed * run_s * RobotLimits().metres_per_unit_s
     print(
-        f"The robot will drive straight on for {run_s:g} s, about {way_cm:.0f} cm. Put it on a free floor with its axle "
-        "on a line, pointing along another line (a seam of the floor, a taped string). Ctrl-C, its centre button or a "
+        f"The robot will drive straight on for {run_s:g} s, about {way_cm:.0f} cm. Put it on a free floor with its "
+        "axle on a line, pointing along another line (a seam of the floor, a taped string). Ctrl-C, its centre button or a "
         "hand that lifts it stops it."
     )
     if _read("Drive now? [y/N] ").lower() not in ("y", "yes"):
