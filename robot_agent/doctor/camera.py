@@ -13,7 +13,7 @@ from robot_agent.doctor.findings import Finding, Verdict
 
 WARM_UP_S = 3.0
 """A camera may need so long for its first picture."""
-MEASURE_S = 2.0
+MEASURE_S = 1.5
 GOOD_RATE = 0.9
 DARK, BRIGHT, FLAT = 10.0, 245.0, 2.0
 """Gray levels: a mean outside of the first two, or a deviation below the third, is a lid or a lamp."""

@@ -263,8 +263,8 @@ def _confirm(speed: int, run_s: float) -> None:
     way_cm = 100 * speed * run_s * RobotLimits().metres_per_unit_s
     print(
         f"The robot will drive straight on for {run_s:g} s, about {way_cm:.0f} cm. Put it on a free floor with its "
-        "axle on a line, pointing along another line (a seam of the floor, a taped string). Ctrl-C, its centre button or a "
-        "hand that lifts it stops it."
+        "axle on a line, pointing along another line (a seam of the floor, a taped string). Ctrl-C, its centre "
+        "button or a hand that lifts it stops it."
     )
     if _read("Drive now? [y/N] ").lower() not in ("y", "yes"):
         raise AgentError("Nothing was driven.")

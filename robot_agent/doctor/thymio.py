@@ -34,8 +34,8 @@ MEDULLA_PORT = 33333
 PROTOCOL = 5
 """Aseba 1.5 and 1.6, should asebamedulla not tell its own."""
 NEEDED_VARIABLES = ("motor.left.target", "motor.right.target", "prox.horizontal")
-FIND_S = 4.0
-ANSWER_S = 1.5
+FIND_S = 3.0
+ANSWER_S = 1.2
 SLOW_ANSWER_S = 0.15
 FIRMWARE_MEND = "update the robot's firmware with Thymio Suite (or the Thymio Firmware Upgrader), on any PC"
 
@@ -177,7 +177,7 @@ def _explain_absence(nodes: list[str], node: str, port: int, protocol: int) -> I
         yield Finding("node", Verdict.FAILED, f"no {node!r}, but {', '.join(nodes)}", f"--node {nodes[0]}")
     else:
         said = "asebamedulla is there, but no robot answers it"
-        mend = "switch the Thymio on and check its cable; asebamedulla must be started after the cable is in"
+        mend = f"plug the Thymio in, switch it on, then start asebamedulla again: {_start_medulla()}"
         yield Finding("node", Verdict.FAILED, said, mend)
 
 
@@ -214,5 +214,5 @@ def _start_medulla() -> str:
     if shutil.which("asebamedulla") is None:
         return "sudo apt install --no-install-recommends aseba"
     if Path.home().joinpath(".config/systemd/user", UNIT).exists():
-        return f"systemctl --user restart {UNIT}; journalctl --user -u {UNIT} says why it ended"
+        return f"systemctl --user restart {UNIT}"
     return 'asebamedulla "ser:device=/dev/ttyACM0" &   (in the same D-Bus session)'
