@@ -17,6 +17,9 @@ PROTOCOL_VERSION = 1
 FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31443
 """The default ports. An agent on other ones keeps the order: base, base + 1, base + 2, base + 3."""
 
+SERVICE_TYPE = "_zservo._tcp.local."
+"""Under this an agent may announce itself (DNS-SD); the port is the first of the four."""
+
 ACTIONS = ("hello", "stop", "release", "exposure")
 
 

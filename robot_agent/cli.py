@@ -14,6 +14,7 @@ from protocol import FRAME_PORT
 from protocol.frames import MAX_SIDE_PX
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
+from robot_agent.announce import announced
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS, SafetySettings
@@ -94,6 +95,7 @@ def agent_parser(*, add_help: bool = True) -> argparse.ArgumentParser:
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
     add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
     add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
+    add("--announce", action="store_true", help="let `base-station robots` find it on the loopback too")
     add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
     add("--no-edge-stop", action="store_true", help="do not stop at a table's edge (dark floors look like one)")
     add("--no-tilt-stop", action="store_true", help="do not stop when picked up or tilted")
@@ -189,6 +191,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
     )
     try:
         agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)
+        names = {"robot": rig.robot.kind, "camera": type(rig.camera).__name__}
+        announcement = announced(options.listen, options.port, wanted=options.announce, **names)
     except AgentError:
         rig.robot.close()
         rig.camera.close()
@@ -207,4 +211,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         options.port + 3,
         options.rhythm,
     )
-    agent.run()
+    try:
+        agent.run()
+    finally:
+        if announcement is not None:
+            announcement.close()

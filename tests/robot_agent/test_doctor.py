@@ -251,7 +251,7 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_go_on():
 
 
 def test_a_report_may_be_sent():
-    text = without_names("/home/ada/x 192.168.0.7 127.0.0.1 0.0.0.0 tcp:lab-pc;33333 ada", "/home/ada", "ada")
+    text = without_names("/home/pi/x 192.168.0.7 127.0.0.1 0.0.0.0 tcp:lab-pc;33333 pi", "/home/pi", "pi")
     assert text == "~/x (address) 127.0.0.1 0.0.0.0 tcp:(host);33333 USER"
 
 
