@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import statistics
 import time
@@ -9,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import thymiodirect
 
 from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
-from tests.playground import Playground, needs_aseba
+from tests.playground import EDGE_CM, Playground, needs_aseba
 
 pytestmark = needs_aseba
 FRAME_BYTES = 160 * 120
@@ -128,10 +130,78 @@ def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: in
         playground.wait_for(lambda look: look["x"] < nearest_cm - 2, "driving away", since_s=backing_s)
 
 
+def test_a_table_s_edge(playground: Playground, agent: Program, port: int) -> None:
+    """Driving at full speed to where the floor is black it stops with its wheels before the edge, and backs off."""
+    playground.put(60.0, 100.0, math.pi)
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            nearest_cm = min(look["x"] for look in playground.looks())
+            assert EDGE_CM < nearest_cm < 50.0, "the wheels are at the robot's own place"
+            backing_s = time.monotonic()
+            drive(station, 1.5, -40, -40)
+            playground.wait_for(lambda look: look["x"] > nearest_cm + 2, "driving away", since_s=backing_s)
+    finally:
+        telemetry.close()
+
+
+def test_without_d_bus_and_asebamedulla(programs: Programs, port: int, pictures: Path, tmp_path: Path) -> None:
+    """--robot thymio-serial at the playground's TCP port, on Debian's Python with thymiodirect beside it: it drives,
+    stops at the edge and when the station goes, and stands at the end."""
+    playground = Playground(programs, tmp_path, medulla=False)
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages/thymiodirect").symlink_to(Path(thymiodirect.__file__).parent)
+    agent = playground.agent(
+        port,
+        *("--device", f"tcp:127.0.0.1:{playground.aseba_port}", "--speed-scale", "4"),
+        *("--camera", "replay", "--source", str(pictures)),
+        robot="thymio-serial",
+        PYTHONPATH=str(tmp_path / "packages"),
+    )
+    agent.says("serving robot", 20.0)
+    playground.put(60.0, 100.0, math.pi)
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            told = telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            assert told.battery_v is None, "this robot has no battery to measure"
+            nearest_cm = min(look["x"] for look in playground.looks())
+            assert EDGE_CM < nearest_cm < 50.0
+            drive(station, 1.0, -40, -40)
+            telemetry.wait_for(lambda message: message.wheels_measured == (-160, -160), what="driving backwards")
+        gone_s = time.monotonic()
+        telemetry.wait_for(lambda message: message.wheels_measured == (0, 0), 0.7, since_s=gone_s, what="standing")
+        agent.signal(signal.SIGTERM)
+        assert agent.exit_code() == 0
+    finally:
+        telemetry.close()
+    assert "did not confirm" not in agent.stderr
+    wait_until(lambda: len({look["x"] for look in playground.looks()[-5:]}) == 1, 1.0, "a robot that stands")
+
+
+def test_it_drives_over_the_system_bus(playground: Playground, port: int, pictures: Path) -> None:
+    """--bus system: the same bus under the system bus's name, and no session bus at all."""
+    address = playground.environment["DBUS_SESSION_BUS_ADDRESS"]
+    agent = playground.agent(
+        port,
+        *("--camera", "replay", "--source", str(pictures), "--bus", "system"),
+        DBUS_SYSTEM_BUS_ADDRESS=address,
+        DBUS_SESSION_BUS_ADDRESS="unix:path=/nowhere/bus",
+    )
+    agent.says("serving robot", 20.0)
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 1.0, 40, 40)
+        playground.wait_for(lambda look: look.get("left") == 40, "a robot that drives")
+
+
 @pytest.mark.parametrize(
     ("options", "environment", "words"),
     [
         ((), {"DBUS_SESSION_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus session bus"),
+        (("--bus", "system"), {"DBUS_SYSTEM_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus system bus"),
         (("--node", "thymio-X"), {}, "thymio-II"),
     ],
 )
