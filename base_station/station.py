@@ -24,6 +24,7 @@ from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 log = logging.getLogger(__name__)
 
 WAIT_S = 0.1
+SIGHTS = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
 PATIENCE_S = 10.0
 
 
@@ -139,6 +140,7 @@ class Station:
         tracker_s = time.perf_counter() - begun_s
         command = behaviour.command(result if self._learned else None, frame.time_s)
         sent_s = self._link.send(command, frame.connection)
+        self._link.show(self._sight(result), frame.connection)
         return Step(
             frame=frame,
             result=result,
@@ -148,6 +150,12 @@ class Station:
             tracker_s=tracker_s,
             frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
         )
+
+    def _sight(self, result: TrackerResult) -> str:
+        """What the robot's lights are to tell; a station that does not follow is idle whatever its tracker sees."""
+        if self.settings.behaviour != "follow":
+            return "idle"
+        return SIGHTS.get(result.state, "idle")
 
     def _count(self, frame: Frame) -> None:
         self._frames += 1

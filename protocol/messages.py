@@ -20,7 +20,9 @@ FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31
 SERVICE_TYPE = "_zservo._tcp.local."
 """Under this an agent may announce itself (DNS-SD); the port is the first of the four."""
 
-ACTIONS = ("hello", "stop", "release", "exposure")
+ACTIONS = ("hello", "stop", "release", "exposure", "show")
+SIGHTS = ("tracking", "lost", "idle")
+"""What a station may see, for the robot's lights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +105,8 @@ class Request:
     """What a station may ask on the control port.
 
     `hello`: who are you; `stop`: emergency stop, latched, with the reason in `text`; `release`: end it;
-    `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic.
+    `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic; `show`: the station sees `text`, one
+    of SIGHTS, which a robot with lights shows.
     """
 
     action: str
@@ -165,6 +168,8 @@ class Telemetry:
     wheels_asked: tuple[int, int] = (0, 0)
     """Left, right in motor units, after safety."""
     wheels_measured: tuple[int, int] | None = None
+    battery_v: float | None = None
+    """Voltage of the robot's battery."""
     safety: str = "stopped"
     """"ok", "limited" (an obstacle bends the command) or "stopped"."""
     reason: str = ""

@@ -18,6 +18,7 @@ from robot_agent.announce import announced
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS, SafetySettings
+from robot_agent.settings_file import MAX_TRIM, MIN_TRIM, RobotSettings
 from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
 
@@ -63,6 +64,25 @@ def _port(text: str) -> int:
     return int(text)
 
 
+def _trim(text: str) -> float:
+    try:
+        return RobotSettings(trim=float(text)).trim
+    except (ValueError, AgentError):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no trim; give a number from {MIN_TRIM:g} to {MAX_TRIM:g}"
+        ) from None
+
+
+def _device(text: str) -> str:
+    if text.startswith("tcp:"):
+        host, _, port = text.removeprefix("tcp:").rpartition(":")
+        if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+            raise argparse.ArgumentTypeError(f"{text!r} is no address; write tcp:HOST:PORT, such as tcp:pi:33333")
+    elif not text:
+        raise argparse.ArgumentTypeError("name a serial port, such as /dev/ttyACM0, or tcp:HOST:PORT")
+    return text
+
+
 def _fault(text: str) -> tuple[str, float]:
     names = [field.name for field in dataclasses.fields(Faults)]
     name, _, value = text.partition("=")
@@ -104,6 +124,15 @@ def agent_parser(*, add_help: bool = True) -> argparse.ArgumentParser:
     thymio = parser.add_argument_group("thymio")
     thymio.add_argument("--bus", choices=BUSES, default="session", help="D-Bus bus of asebamedulla (default: session)")
     thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
+    thymio.add_argument(
+        "--device", type=_device, help="thymio-serial: serial port or tcp:HOST:PORT (default: the first /dev/ttyACM*)"
+    )
+    thymio.add_argument(
+        "--trim",
+        type=_trim,
+        metavar="X",
+        help="right wheel's speed over left's (default: the settings file's, else 1)",
+    )
     simulation = parser.add_argument_group("simulation")
     simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
     simulation.add_argument("--seed", type=_seed, default=0, help="of textures, courses, noise (default: %(default)s)")
@@ -171,6 +200,8 @@ def rig_options(options: argparse.Namespace, faults: Faults | None = None) -> Ri
         fps=options.fps,
         bus=options.bus,
         node=options.node,
+        device=options.device,
+        trim=options.trim,
         lockstep=options.rhythm == "lockstep",
         scenario=options.scenario,
         seed=options.seed,

@@ -15,7 +15,7 @@ from robot_agent.settings_file import load_robot_settings
 from robot_agent.sim.faults import Faults
 
 CAMERAS = ("usb", "picamera2", "replay", "sim", "playground")
-ROBOTS = ("sim", "thymio", "playground", "none")
+ROBOTS = ("sim", "thymio", "thymio-serial", "playground", "none")
 OWN_CAMERA = ("sim", "playground")
 """Robots that come with a camera of their own, of the same name: the two are one world."""
 BUSES = ("session", "system")
@@ -36,6 +36,10 @@ class RigOptions:
     bus: str = "session"
     node: str = "thymio-II"
     """The Thymio's D-Bus bus, and its name in the Aseba network."""
+    device: str | None = None
+    """Where thymio-serial finds it: a serial port, or tcp:HOST:PORT; None: the first serial port there is."""
+    trim: float | None = None
+    """The Thymio's right wheel over its left one; None: as the robot's settings file says."""
     lockstep: bool = False
     scenario: str = "leader"
     seed: int = 0
@@ -86,8 +90,16 @@ def open_robot(options: RigOptions) -> Robot:
     if options.robot == "thymio":
         from robot_agent.robots.thymio import ThymioRobot
 
-        return ThymioRobot(bus=options.bus, node=options.node, trim=load_robot_settings().trim)
+        return ThymioRobot(bus=options.bus, node=options.node, trim=_trim(options))
+    if options.robot == "thymio-serial":
+        from robot_agent.robots.thymio_serial import SerialThymioRobot
+
+        return SerialThymioRobot(device=options.device, node=options.node, trim=_trim(options))
     return NoRobot()
+
+
+def _trim(options: RigOptions) -> float:
+    return options.trim if options.trim is not None else load_robot_settings().trim
 
 
 def open_camera(options: RigOptions) -> Camera:
@@ -152,7 +164,8 @@ def _playground(options: RigOptions) -> Rig:
         noise_sigma=faults.noise_sigma,
     )
     try:
-        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node)
+        trim = options.trim if options.trim is not None else 1.0  # the settings file is about the real robot
+        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node, trim=trim)
     except BaseException:
         world.close()
         raise

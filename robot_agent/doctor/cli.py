@@ -252,7 +252,8 @@ def _calibrate(options: argparse.Namespace) -> int:
         ran_cm = _ask("How many cm did it come along the line? ")
         measured = ran_cm, _ask("How many cm beside the line did it end (left of it positive, right negative)? ")
     ratio = calibration.wheel_ratio(measured[0], measured[1], wheel_base_cm=100 * RobotLimits().wheel_base_m)
-    trim = calibration.new_trim(ratio, old.trim, speed)
+    in_force = options.trim if options.trim is not None else old.trim
+    trim = calibration.new_trim(ratio, in_force, speed)
     path = save_robot_settings(replace(old, trim=trim))
     print(f"trim {trim:.3f} stored in {path} (it was {old.trim:.3f}); right wheel over left in this run: {ratio:.3f}")
     print("Start the agent again, or measure once more: the robot should now keep to the line.")

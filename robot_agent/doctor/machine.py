@@ -27,6 +27,7 @@ _PACKAGES = {
     "gi": ("PyGObject<3.51", "python3-gi"),
     "picamera2": ("", "python3-picamera2"),
     "thymiodirect": ("thymiodirect", ""),
+    "serial": ("pyserial", "python3-serial"),
     "mujoco": ("mujoco", ""),
     "zeroconf": ("zeroconf", "python3-zeroconf"),
 }
@@ -36,7 +37,7 @@ _NEEDED_BY = {
     "thymio": ("dbus", "gi"),
     "playground": ("dbus", "gi", "mujoco"),
     "sim": ("mujoco",),
-    "thymio-serial": ("thymiodirect",),
+    "thymio-serial": ("thymiodirect", "serial"),
     "picamera2": ("picamera2",),
 }
 THYMIO_USB = {("0617", "000a"): "Thymio II", ("0617", "000c"): "Thymio's wireless dongle"}

@@ -6,53 +6,24 @@ from __future__ import annotations
 import json
 import math
 import signal
-import socket
 import subprocess
-import threading
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from robot_agent.robots.aseba_messages import DESCRIPTION, LIST_NODES, NODE_PRESENT, AsebaDecoder, AsebaMessage
+from tests.aseba_node import AsebaNode
 from tests.helpers import LOOPBACK, Program, Programs, free_ports, wait_until
 from tests.playground import DEBIAN_PYTHON, Playground, needs_aseba
 
 pytestmark = needs_aseba
-GET_NODE_DESCRIPTION = 0xA010
 
 
 def doctor(programs: Programs, *options: str, stdin: int = subprocess.DEVNULL, **environment: str) -> Program:
     program = (DEBIAN_PYTHON, "-m", "robot_agent", "doctor", "--port", str(free_ports()))
     return programs.start(*program, *options, stdin=stdin, **environment)
-
-
-class OddRobot:
-    """A robot on TCP, for asebamedulla to connect to, whose firmware speaks another Aseba protocol version."""
-
-    def __init__(self, version: int) -> None:
-        self._version = version.to_bytes(2, "little")
-        self._listening = socket.create_server((LOOPBACK, 0))
-        self.port = self._listening.getsockname()[1]
-        self.asked = threading.Event()
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self) -> None:
-        connection, _ = self._listening.accept()
-        decoder = AsebaDecoder()
-        with connection:
-            while data := connection.recv(4096):
-                for message in decoder.receive_data(data):
-                    if message.kind == LIST_NODES:
-                        connection.sendall(bytes(AsebaMessage(1, NODE_PRESENT, self._version)))
-                    elif message.kind == GET_NODE_DESCRIPTION:
-                        described = b"\x09thymio-II" + self._version + bytes(12)
-                        connection.sendall(bytes(AsebaMessage(1, DESCRIPTION, described)))
-                        self.asked.set()
-
-    def close(self) -> None:
-        self._listening.close()
 
 
 def session_bus(programs: Programs) -> dict[str, str]:
@@ -81,13 +52,12 @@ def test_without_a_bus_and_without_asebamedulla_it_names_what_to_start(
 def test_robots_that_asebamedulla_does_not_show(programs: Programs, replay: tuple[str, ...]) -> None:
     """The thesis's stumbling block: asebamedulla sees a robot of another protocol version and hides it, without a word
     on the bus. The doctor tells that apart from no robot at all. (Examined at the same time: each waits a while.)"""
-    newer, older = OddRobot(6), OddRobot(3)
+    newer, older = AsebaNode(protocol=6), AsebaNode(protocol=3)
     examined = {}
     for name, target in (("newer", newer), ("older", older), ("none", None)):
         bus = session_bus(programs)
         targets = () if target is None else (f"tcp:{LOOPBACK};{target.port}",)
         programs.start("asebamedulla", "-p", str(free_ports()), *targets, **bus)
-        assert target is None or target.asked.wait(10.0), "asebamedulla never asked the robot for its description"
         examined[name] = doctor(programs, *replay, **bus)
     assert [program.exit_code(30.0) for program in examined.values()] == [1, 1, 1]
     newer.close()
@@ -99,6 +69,21 @@ def test_robots_that_asebamedulla_does_not_show(programs: Programs, replay: tupl
         assert mend in said.partition("FAIL  protocol")[2].splitlines()[1]
     assert "no robot answers it" in examined["none"].stdout
     assert "FAIL  protocol" not in examined["none"].stdout
+
+
+def test_a_robot_on_a_serial_line_or_tcp(programs: Programs, pictures: Path) -> None:
+    """Through thymiodirect, without asebamedulla; and one that is not there."""
+    pytest.importorskip("thymiodirect")
+    robot = AsebaNode()
+    options = ("--camera", "replay", "--source", str(pictures), "--robot", "thymio-serial", "--device")
+    command = (sys.executable, "-m", "robot_agent", "doctor", "--port", str(free_ports()))
+    there = programs.start(*command, *options, f"tcp:{LOOPBACK}:{robot.port}")
+    assert there.exit_code(20.0) == 0, there.stdout
+    robot.close()
+    gone = programs.start(*command, *options, f"tcp:{LOOPBACK}:{robot.port}")
+    assert "  OK  robot: thymio-serial answers, proximity [0, 0, 0, 0, 0, 0, 0]" in there.stdout
+    assert gone.exit_code(30.0) == 1
+    assert "FAIL  robot: " in gone.stdout
 
 
 @pytest.fixture(scope="module")
