@@ -1,5 +1,5 @@
 """scripts/install-pi: what it says it will do, what it writes, and that a second time changes nothing. (Packages,
-groups and systemd themselves are tried by hand, in a chroot; robot_agent/README.md says how.)"""
+groups and systemd itself are not touched: those were tried by hand, in a chroot of Debian 12.)"""
 
 from __future__ import annotations
 
