@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from base_station.behaviours.registry import check_behaviour
+from base_station.discovery import find_robots
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
@@ -94,11 +95,19 @@ class Trackers:
     """List the trackers."""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Robots:
+    """List the robots that announce themselves on this network."""
+
+    seconds: float = 2.0
+    """How long to listen."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers,
+            Run | Score | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -112,6 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(command, console)
         if isinstance(command, Score):
             return _score(command)
+        if isinstance(command, Robots):
+            return _robots(command)
         print("\n".join(tracker_names()))
         return EXIT_DONE
     except KeyboardInterrupt:
@@ -129,6 +140,25 @@ def _score(command: Score) -> int:
     if len(found) != len(truth):
         print(f"comparing the first {frames} frames ({len(found)} results, {len(truth)} true boxes)", file=sys.stderr)
     print(json.dumps(dataclasses.asdict(score_boxes(found[:frames], truth[:frames])), indent=2))
+    return EXIT_DONE
+
+
+def _robots(command: Robots) -> int:
+    if not 0.1 <= command.seconds <= 60:
+        raise StationError(f"--seconds must be 0.1..60, not {command.seconds:g}.", usage=True)
+    found = find_robots(command.seconds)
+    if not found:
+        raise StationError(
+            "No robot announces itself here. Is the agent started with --listen 0.0.0.0, is python3-zeroconf on "
+            "the robot, are both on the same network? Networks that keep multicast back are common: then use "
+            "base-station run --host ADDRESS (on the robot, hostname -I tells the address)."
+        )
+    rows = [("name", "address", "port", "robot", "camera", "state")]
+    rows += [(robot.name, robot.address, str(robot.port), robot.robot, robot.camera, robot.busy) for robot in found]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
+    print(f"\nbase-station run --host {found[0].address} --port {found[0].port}", file=sys.stderr)
     return EXIT_DONE
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import zmq
 
+from base_station.announcer import Announcer
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
 from base_station.geometry import PinholeCamera
@@ -85,6 +86,8 @@ class Link:
         self._on_telemetry = on_telemetry
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._control = Control(self._context, self.settings.host, self.settings.port + 3)
+        # A way of its own to the control port: an emergency stop must not queue behind the lights.
+        self._announcer = Announcer(Control(self._context, self.settings.host, self.settings.port + 3).ask)
         self._feed: TelemetryFeed | None = None
         self._session: _Session | None = None
         self._clock = FrameClock()
@@ -96,12 +99,14 @@ class Link:
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
 
     def __enter__(self) -> Link:
+        self._announcer.__enter__()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closing.set()
         self._thread.join()
+        self._announcer.__exit__()
         if self._feed is not None:
             self._feed.close()
         self._context.destroy(linger=0)
@@ -156,6 +161,11 @@ class Link:
     def camera_angles(self, frame: Frame) -> Angles | None:
         """Pan and tilt of the camera when the frame was taken; None when it is fixed, or nothing is known."""
         return self._angles.of((frame.connection, frame.number))
+
+    def show(self, sight: str, connection: str) -> None:
+        """Let the robot's lights, where it has any, tell what is seen (one of SIGHTS). Returns at once."""
+        if self.hello is not None and "show" in self.hello.capabilities:
+            self._announcer.say(sight, connection)
 
     @property
     def connected(self) -> bool:

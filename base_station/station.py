@@ -25,6 +25,7 @@ from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 log = logging.getLogger(__name__)
 
 WAIT_S = 0.1
+SIGHTS = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
 PATIENCE_S = 10.0
 LOCKSTEP_LOOK_S = 0.5
 """In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
@@ -153,6 +154,7 @@ class Station:
         angles = self._link.camera_angles(frame)
         command = self._command(behaviour, result, frame, angles)
         sent_s = self._link.send(command, frame.connection)
+        self._link.show(self._sight(result), frame.connection)
         return Step(
             frame=frame,
             result=result,
@@ -171,6 +173,12 @@ class Station:
         if self._head is not None and self._link.hello is not None and self._link.hello.rhythm == "lockstep":
             self._head.settle(LOCKSTEP_LOOK_S)
         return command
+
+    def _sight(self, result: TrackerResult) -> str:
+        """What the robot's lights are to tell; a station that does not follow is idle whatever its tracker sees."""
+        if self.settings.behaviour != "follow":
+            return "idle"
+        return SIGHTS.get(result.state, "idle")
 
     def _count(self, frame: Frame) -> None:
         self._frames += 1

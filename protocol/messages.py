@@ -18,7 +18,12 @@ PROTOCOL_VERSION = 1
 FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31443
 """The default ports. An agent on other ones keeps the order: base, base + 1, base + 2, base + 3."""
 
-ACTIONS = ("hello", "stop", "release", "exposure", "look")
+SERVICE_TYPE = "_zservo._tcp.local."
+"""Under this an agent may announce itself (DNS-SD); the port is the first of the four."""
+
+ACTIONS = ("hello", "stop", "release", "exposure", "look", "show")
+SIGHTS = ("tracking", "lost", "idle")
+"""What a station may see, for the robot's lights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +131,8 @@ class Request:
 
     `hello`: who are you; `stop`: emergency stop, latched, with the reason in `text`; `release`: end it;
     `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic; `look`: turn the camera's pan-tilt
-    to `pan_rad` (left positive) and `tilt_rad` (up positive).
+    to `pan_rad` (left positive) and `tilt_rad` (up positive); `show`: the station sees `text`, one of SIGHTS, which a
+    robot with lights shows.
     """
 
     action: str
@@ -196,6 +202,8 @@ class Telemetry:
     wheels_asked: tuple[int, int] = (0, 0)
     """Left, right in motor units, after safety."""
     wheels_measured: tuple[int, int] | None = None
+    battery_v: float | None = None
+    """Voltage of the robot's battery."""
     safety: str = "stopped"
     """"ok", "limited" (an obstacle bends the command) or "stopped"."""
     reason: str = ""

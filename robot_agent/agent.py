@@ -20,6 +20,7 @@ import numpy as np
 from protocol import (
     FRAME_PORT,
     PROTOCOL_VERSION,
+    SIGHTS,
     FrameFormat,
     FrameStamp,
     Hello,
@@ -375,12 +376,22 @@ class Agent:
             return self._set_exposure(request.value)
         if request.action == "look":
             return self._look(request.pan_rad, request.tilt_rad)
+        if request.action == "show":
+            return self._show(request.text)
         if request.action == "stop":
             self._supervisor.emergency_stop(request.text)
         else:
             self._supervisor.release()
             log.warning("emergency stop released")
         self._wheels.decide()
+        return Reply(ok=True)
+
+    def _show(self, what: str) -> Reply:
+        if what not in SIGHTS:
+            return Reply(ok=False, error=f"a station sees one of {', '.join(SIGHTS)}, not {what[:40]!r}")
+        if not hasattr(self._robot, "show"):
+            return Reply(ok=False, error="this robot has no lights")
+        self._wheels.station_sees(what)
         return Reply(ok=True)
 
     def _set_exposure(self, exposure_us: float) -> Reply:
@@ -413,9 +424,10 @@ class Agent:
             scenario = replace(scenario, events=())  # the operator's hand moves once, for the first station
         if scenario is not None:
             scenario = _shifted_events(scenario, self._format.first_row)
-        capabilities = ["stop"] + (["exposure"] if hasattr(self._camera, "set_exposure") else [])
-        if self._pan_tilt is not None:
-            capabilities.append("pan-tilt")
+        capabilities = ["stop"]
+        capabilities += ["exposure"] if hasattr(self._camera, "set_exposure") else []
+        capabilities += ["pan-tilt"] if self._pan_tilt is not None else []
+        capabilities += ["show"] if hasattr(self._robot, "show") else []
         return Hello(
             protocol=PROTOCOL_VERSION,
             agent=f"zservo robot-agent {__version__}",
@@ -454,6 +466,7 @@ class Agent:
                 proximity=state.proximity,
                 wheels_asked=(decision.left, decision.right),
                 wheels_measured=state.wheels_measured,
+                battery_v=state.battery_v,
                 safety=decision.state.value,
                 reason=decision.reason,
                 station=self._station(),

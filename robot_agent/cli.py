@@ -15,11 +15,13 @@ from protocol import FRAME_PORT
 from protocol.frames import MAX_SIDE_PX
 from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
+from robot_agent.announce import announced
 from robot_agent.errors import AgentError, UsageError
 from robot_agent.pantilt.servoblaster import ServoBlasterSettings
 from robot_agent.pantilt.slew import PI_PAN
 from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, PAN_TILTS, ROBOTS, RigOptions, build_rig
 from robot_agent.safety import PRESETS, SafetySettings
+from robot_agent.settings_file import MAX_TRIM, MIN_TRIM, RobotSettings
 from robot_agent.sim.faults import Faults
 from robot_agent.sim.scenarios import SCENARIOS
 
@@ -43,7 +45,7 @@ def _rows(text: str) -> tuple[int, int]:
     return int(first), int(past_last)
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -72,6 +74,25 @@ def _port(text: str) -> int:
     return int(text)
 
 
+def _trim(text: str) -> float:
+    try:
+        return RobotSettings(trim=float(text)).trim
+    except (ValueError, AgentError):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no trim; give a number from {MIN_TRIM:g} to {MAX_TRIM:g}"
+        ) from None
+
+
+def _device(text: str) -> str:
+    if text.startswith("tcp:"):
+        host, _, port = text.removeprefix("tcp:").rpartition(":")
+        if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+            raise argparse.ArgumentTypeError(f"{text!r} is no address; write tcp:HOST:PORT, such as tcp:pi:33333")
+    elif not text:
+        raise argparse.ArgumentTypeError("name a serial port, such as /dev/ttyACM0, or tcp:HOST:PORT")
+    return text
+
+
 def _fault(text: str) -> tuple[str, float]:
     names = [field.name for field in dataclasses.fields(Faults)]
     name, _, value = text.partition("=")
@@ -83,24 +104,28 @@ def _fault(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE with one of {', '.join(names)}") from None
 
 
-def _parser() -> argparse.ArgumentParser:
+def agent_parser(*, add_help: bool = True) -> argparse.ArgumentParser:
+    """The agent's options. Without `add_help`: for a parser that has them too (argparse's `parents`)."""
     parser = argparse.ArgumentParser(
         prog="robot-agent",
+        add_help=add_help,
         description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on "
         "the two ports after these. Without options: the simulated robot.",
+        epilog="`robot-agent doctor` with the same options checks everything that they need, and measures wheel trim.",
     )
     add = parser.add_argument
     add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
     add("--camera", choices=CAMERAS, help="where pictures come from (default: a simulated robot's own, else usb)")
     add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
     add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
-    add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
+    add("--fps", type=positive, help="pictures per second (default: 30; a replay's own times)")
     add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
     add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
-    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
+    add("--speed-scale", type=positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
     add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
     add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
+    add("--announce", action="store_true", help="let `base-station robots` find it on the loopback too")
     add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
     add("--no-edge-stop", action="store_true", help="do not stop at a table's edge (dark floors look like one)")
     add("--no-tilt-stop", action="store_true", help="do not stop when picked up or tilted")
@@ -109,10 +134,19 @@ def _parser() -> argparse.ArgumentParser:
     thymio = parser.add_argument_group("thymio")
     thymio.add_argument("--bus", choices=BUSES, default="session", help="D-Bus bus of asebamedulla (default: session)")
     thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
+    thymio.add_argument(
+        "--device", type=_device, help="thymio-serial: serial port or tcp:HOST:PORT (default: the first /dev/ttyACM*)"
+    )
+    thymio.add_argument(
+        "--trim",
+        type=_trim,
+        metavar="X",
+        help="right wheel's speed over left's (default: the settings file's, else 1)",
+    )
     servos = ServoBlasterSettings()
     turning = parser.add_argument_group("pan-tilt").add_argument
     turning("--pan-tilt", choices=PAN_TILTS, default="none", help="what turns the camera (default: %(default)s)")
-    turning("--slew", type=_positive, default=math.degrees(PI_PAN.slew_rad_s), metavar="DEG_S", help="(default: 300)")
+    turning("--slew", type=positive, default=math.degrees(PI_PAN.slew_rad_s), metavar="DEG_S", help="(default: 300)")
     turning("--servo-device", default=servos.device, metavar="FIFO", help="ServoBlaster's (default: %(default)s)")
     turning("--pan-servo", default=servos.pan_servo, metavar="SERVO", help="number or pin (default: %(default)s)")
     turning("--tilt-servo", default=servos.tilt_servo, metavar="SERVO", help="number or pin (default: %(default)s)")
@@ -128,7 +162,12 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the agent. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
-    parser = _parser()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments and arguments[0] == "doctor":
+        from robot_agent.doctor.cli import main as doctor
+
+        return doctor(arguments[1:])
+    parser = agent_parser()
     options = parser.parse_args(arguments)
     logging.basicConfig(
         level=logging.WARNING if options.quiet else logging.INFO,
@@ -150,7 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_DONE
 
 
-def _safety(options: argparse.Namespace) -> SafetySettings:
+def safety_settings(options: argparse.Namespace) -> SafetySettings:
+    """What the options say about safety."""
     settings = PRESETS[options.safety]
     if options.no_edge_stop:
         settings = dataclasses.replace(settings, edge=None)
@@ -180,24 +220,29 @@ def _end_building_on_signals() -> None:
         signal.signal(number, end)
 
 
-def _serve(options: argparse.Namespace, faults: Faults) -> None:
-    rig = build_rig(
-        RigOptions(
-            robot=options.robot,
-            camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
-            source=options.source,
-            size=options.size,
-            fps=options.fps,
-            bus=options.bus,
-            node=options.node,
-            pan_tilt=options.pan_tilt,
-            servos=_servos(options),
-            lockstep=options.rhythm == "lockstep",
-            scenario=options.scenario,
-            seed=options.seed,
-            faults=faults,
-        )
+def rig_options(options: argparse.Namespace, faults: Faults | None = None) -> RigOptions:
+    """What the options say about robot and camera."""
+    return RigOptions(
+        robot=options.robot,
+        camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
+        source=options.source,
+        size=options.size,
+        fps=options.fps,
+        bus=options.bus,
+        node=options.node,
+        device=options.device,
+        trim=options.trim,
+        pan_tilt=options.pan_tilt,
+        servos=_servos(options),
+        lockstep=options.rhythm == "lockstep",
+        scenario=options.scenario,
+        seed=options.seed,
+        faults=faults or Faults(),
     )
+
+
+def _serve(options: argparse.Namespace, faults: Faults) -> None:
+    rig = build_rig(rig_options(options, faults))
     settings = AgentSettings(
         host=options.listen,
         port=options.port,
@@ -205,7 +250,7 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         rhythm=options.rhythm,
         rows=options.rows,
         speed_scale=options.speed_scale,
-        safety=_safety(options),
+        safety=safety_settings(options),
     )
     try:
         agent = Agent(
@@ -217,6 +262,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
             clock=rig.clock,
             stepped=rig.stepped,
         )
+        names = {"robot": rig.robot.kind, "camera": type(rig.camera).__name__}
+        announcement = announced(options.listen, options.port, wanted=options.announce, **names)
     except AgentError:
         rig.robot.close()
         if rig.pan_tilt is not None:
@@ -237,4 +284,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         options.port + 3,
         options.rhythm,
     )
-    agent.run()
+    try:
+        agent.run()
+    finally:
+        if announcement is not None:
+            announcement.close()

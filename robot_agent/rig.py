@@ -14,10 +14,11 @@ from robot_agent.pantilt.base import PanTilt
 from robot_agent.pantilt.servoblaster import ServoBlaster, ServoBlasterSettings
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
+from robot_agent.settings_file import load_robot_settings
 from robot_agent.sim.faults import Faults
 
 CAMERAS = ("usb", "picamera2", "replay", "sim", "playground")
-ROBOTS = ("sim", "thymio", "playground", "none")
+ROBOTS = ("sim", "thymio", "thymio-serial", "playground", "none")
 OWN_CAMERA = ("sim", "playground")
 """Robots that come with a camera of their own, of the same name: the two are one world."""
 BUSES = ("session", "system")
@@ -42,6 +43,10 @@ class RigOptions:
     pan_tilt: str = "none"
     servos: ServoBlasterSettings = field(default_factory=ServoBlasterSettings)
     """Of `servoblaster`; the limits hold for `sim` too."""
+    device: str | None = None
+    """Where thymio-serial finds it: a serial port, or tcp:HOST:PORT; None: the first serial port there is."""
+    trim: float | None = None
+    """The Thymio's right wheel over its left one; None: as the robot's settings file says."""
     lockstep: bool = False
     scenario: str = "leader"
     seed: int = 0
@@ -59,6 +64,8 @@ class Rig:
     scenario: Scenario | None = None
     clock: Callable[[], float] = time.monotonic
     stepped: bool = False
+    bus: str | None = None
+    """Address of the D-Bus bus that a playground has for itself."""
 
 
 def build_rig(options: RigOptions) -> Rig:
@@ -87,25 +94,35 @@ def build_rig(options: RigOptions) -> Rig:
     if options.robot == "playground":
         return _playground(options)
     with ExitStack() as opened:
-        camera = _open_camera(options)
+        camera = open_camera(options)
         opened.callback(camera.close)
         pan_tilt = ServoBlaster(options.servos) if options.pan_tilt == "servoblaster" else None
         if pan_tilt is not None:
             opened.callback(pan_tilt.close)
-        rig = Rig(camera=camera, robot=_open_robot(options), pan_tilt=pan_tilt)
+        rig = Rig(camera=camera, robot=open_robot(options), pan_tilt=pan_tilt)
         opened.pop_all()
         return rig
 
 
-def _open_robot(options: RigOptions) -> Robot:
+def open_robot(options: RigOptions) -> Robot:
+    """The robot alone, of those that have no camera of their own. Raises AgentError when it is not to be had."""
     if options.robot == "thymio":
         from robot_agent.robots.thymio import ThymioRobot
 
-        return ThymioRobot(bus=options.bus, node=options.node)
+        return ThymioRobot(bus=options.bus, node=options.node, trim=_trim(options))
+    if options.robot == "thymio-serial":
+        from robot_agent.robots.thymio_serial import SerialThymioRobot
+
+        return SerialThymioRobot(device=options.device, node=options.node, trim=_trim(options))
     return NoRobot()
 
 
-def _open_camera(options: RigOptions) -> Camera:
+def _trim(options: RigOptions) -> float:
+    return options.trim if options.trim is not None else load_robot_settings().trim
+
+
+def open_camera(options: RigOptions) -> Camera:
+    """The camera alone, of those that are no part of a robot. Raises AgentError when it is not to be had."""
     width, height = options.size or (640, 480)
     fps = options.fps or 30.0
     if options.camera == "usb":
@@ -171,8 +188,9 @@ def _playground(options: RigOptions) -> Rig:
         noise_sigma=faults.noise_sigma,
     )
     try:
-        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node)
+        trim = options.trim if options.trim is not None else 1.0  # the settings file is about the real robot
+        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node, trim=trim)
     except BaseException:
         world.close()
         raise
-    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario)
+    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario, bus=world.programs.bus)

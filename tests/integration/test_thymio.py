@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import statistics
 import time
@@ -9,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import thymiodirect
 
-from tests.helpers import Program, Programs, RawStation, TelemetryLog, free_ports, wait_until
-from tests.playground import Playground, needs_aseba
+from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
+from tests.playground import EDGE_CM, Playground, needs_aseba
 
 pytestmark = needs_aseba
 FRAME_BYTES = 160 * 120
@@ -90,25 +92,8 @@ def test_station_that_hangs_leaves_a_robot_that_stands(playground: Playground, a
     assert 0.3 <= stood["time_s"] - silent_s <= 0.9
 
 
-def test_asebamedulla_stops_and_starts_again(programs: Programs, pictures: Path, tmp_path: Path) -> None:
-    """The station is told that the wheels are unknown; commands resume within 3 s of asebamedulla's return.
-
-    asebaplayground itself crashes now and then when asebamedulla leaves: then there is no robot to come back to, and
-    the whole is done again.
-    """
-    for attempt in range(4):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        if _medulla_restarted(Playground(programs, folder), free_ports(), pictures):
-            return
-        programs.close()
-    raise AssertionError("asebaplayground crashed four times")
-
-
-def _medulla_restarted(playground: Playground, port: int, pictures: Path) -> bool:
-    """False when the playground did not survive; AssertionError when anything else went wrong."""
-    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--speed-scale", "4")
-    agent.says("serving robot", 20.0)
+def test_asebamedulla_stops_and_starts_again(playground: Playground, agent: Program, port: int) -> None:
+    """The station is told that the wheels are unknown; commands resume within 3 s of asebamedulla's return."""
     telemetry = TelemetryLog(port).wait_until_live()
     try:
         with RawStation(port, FRAME_BYTES) as station:
@@ -120,16 +105,12 @@ def _medulla_restarted(playground: Playground, port: int, pictures: Path) -> boo
                 lambda message: "wheels are unknown" in message.reason, since_s=killed_s, what="why"
             )
             assert told.safety == "stopped" and told.wheels_measured is None
-            if not playground.survived():
-                return False
             playground.start_medulla()
             back_s = time.monotonic()
             while time.monotonic() < back_s + 3.0:
                 drive(station, 0.1, 35, 35)
                 if any(look["time_s"] > back_s and look.get("left") == 140 for look in playground.looks()):
-                    return True
-            if not playground.survived():
-                return False
+                    return
     finally:
         telemetry.close()
     raise AssertionError("commands did not resume within 3 s")
@@ -149,10 +130,78 @@ def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: in
         playground.wait_for(lambda look: look["x"] < nearest_cm - 2, "driving away", since_s=backing_s)
 
 
+def test_a_table_s_edge(playground: Playground, agent: Program, port: int) -> None:
+    """Driving at full speed to where the floor is black it stops with its wheels before the edge, and backs off."""
+    playground.put(60.0, 100.0, math.pi)
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            nearest_cm = min(look["x"] for look in playground.looks())
+            assert EDGE_CM < nearest_cm < 50.0, "the wheels are at the robot's own place"
+            backing_s = time.monotonic()
+            drive(station, 1.5, -40, -40)
+            playground.wait_for(lambda look: look["x"] > nearest_cm + 2, "driving away", since_s=backing_s)
+    finally:
+        telemetry.close()
+
+
+def test_without_d_bus_and_asebamedulla(programs: Programs, port: int, pictures: Path, tmp_path: Path) -> None:
+    """--robot thymio-serial at the playground's TCP port, on Debian's Python with thymiodirect beside it: it drives,
+    stops at the edge and when the station goes, and stands at the end."""
+    playground = Playground(programs, tmp_path, medulla=False)
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages/thymiodirect").symlink_to(Path(thymiodirect.__file__).parent)
+    agent = playground.agent(
+        port,
+        *("--device", f"tcp:127.0.0.1:{playground.aseba_port}", "--speed-scale", "4"),
+        *("--camera", "replay", "--source", str(pictures)),
+        robot="thymio-serial",
+        PYTHONPATH=str(tmp_path / "packages"),
+    )
+    agent.says("serving robot", 20.0)
+    playground.put(60.0, 100.0, math.pi)
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            told = telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            assert told.battery_v is None, "this robot has no battery to measure"
+            nearest_cm = min(look["x"] for look in playground.looks())
+            assert EDGE_CM < nearest_cm < 50.0
+            drive(station, 1.0, -40, -40)
+            telemetry.wait_for(lambda message: message.wheels_measured == (-160, -160), what="driving backwards")
+        gone_s = time.monotonic()
+        telemetry.wait_for(lambda message: message.wheels_measured == (0, 0), 0.7, since_s=gone_s, what="standing")
+        agent.signal(signal.SIGTERM)
+        assert agent.exit_code() == 0
+    finally:
+        telemetry.close()
+    assert "did not confirm" not in agent.stderr
+    wait_until(lambda: len({look["x"] for look in playground.looks()[-5:]}) == 1, 1.0, "a robot that stands")
+
+
+def test_it_drives_over_the_system_bus(playground: Playground, port: int, pictures: Path) -> None:
+    """--bus system: the same bus under the system bus's name, and no session bus at all."""
+    address = playground.environment["DBUS_SESSION_BUS_ADDRESS"]
+    agent = playground.agent(
+        port,
+        *("--camera", "replay", "--source", str(pictures), "--bus", "system"),
+        DBUS_SYSTEM_BUS_ADDRESS=address,
+        DBUS_SESSION_BUS_ADDRESS="unix:path=/nowhere/bus",
+    )
+    agent.says("serving robot", 20.0)
+    with RawStation(port, FRAME_BYTES) as station:
+        drive(station, 1.0, 40, 40)
+        playground.wait_for(lambda look: look.get("left") == 40, "a robot that drives")
+
+
 @pytest.mark.parametrize(
     ("options", "environment", "words"),
     [
         ((), {"DBUS_SESSION_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus session bus"),
+        (("--bus", "system"), {"DBUS_SYSTEM_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus system bus"),
         (("--node", "thymio-X"), {}, "thymio-II"),
     ],
 )

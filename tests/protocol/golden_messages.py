@@ -54,7 +54,7 @@ HELLO_REPLY = Reply(
         camera="SimCamera",
         intrinsics=Intrinsics(fx=530.5, fy=530.5, cx=319.5, cy=31.5),
         limits=RobotLimits(max_units=500, speed_scale=4.0, metres_per_unit_s=0.000325, wheel_base_m=0.094),
-        capabilities=("stop", "pan-tilt"),
+        capabilities=("stop", "pan-tilt", "show"),
         busy_with="192.168.0.20:51000",
         monotonic_s=12.5,
         scenario=Scenario(
@@ -74,6 +74,7 @@ TELEMETRY = Telemetry(
     proximity=(0, 0, 2411, 0, 0, 0, 0),
     wheels_asked=(-40, 40),
     wheels_measured=(-38, 41),
+    battery_v=3.75,
     safety="limited",
     reason="obstacle in front",
     station="192.168.0.20:51000",
