@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,8 @@ from tests.helpers import ROOT, Program, Programs, free_ports, wait_until
 
 PROGRAMS = ("asebaplayground", "asebamedulla", "Xvfb", "dbus-daemon")
 DEBIAN_PYTHON = "/usr/bin/python3"
+LISTEN, TIME_WAIT = "0A", "06"
+"""States of a connection in /proc/net/tcp."""
 WORLD = """<!DOCTYPE aseba-playground>
 <aseba-playground>
  <color name="white" r="0.9" g="0.9" b="0.9"/>
@@ -49,7 +50,7 @@ class Playground:
         self.environment = {"DBUS_SESSION_BUS_ADDRESS": wait_until(lambda: bus.stdout.strip(), 5.0, "a session bus")}
         screen = programs.start("Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24", "+extension", "GLX")
         display = ":" + wait_until(lambda: screen.stdout.strip(), 10.0, "a display")
-        self._program = programs.start(
+        programs.start(
             "asebaplayground",
             str(folder / "world.playground"),
             DISPLAY=display,
@@ -62,18 +63,9 @@ class Playground:
         )
         self.wait_for(lambda look: "left" in look, "the robot on the bus", timeout_s=20.0)
 
-    def survived(self) -> bool:
-        """Whether asebaplayground still runs and answers: now and then it crashes when asebamedulla leaves it."""
-        since_s = time.monotonic()
-        try:
-            self.wait_for(lambda look: True, "the playground", timeout_s=1.0, since_s=since_s)
-        except AssertionError:
-            return False
-        return self._program.alive
-
     def start_medulla(self) -> Program:
-        """asebamedulla, once the playground listens: it looks only once."""
-        wait_until(lambda: _listens(self._aseba_port), 20.0, "the playground's port")
+        """asebamedulla, once the playground awaits a client: it looks only once."""
+        wait_until(lambda: awaits_client(self._aseba_port), 20.0, "a playground that awaits a client")
         target = f"tcp:localhost;{self._aseba_port}"
         return self._programs.start("asebamedulla", "-p", str(self._aseba_port + 1), target, **self.environment)
 
@@ -106,7 +98,14 @@ class Playground:
         return wait_until(found, timeout_s, what)
 
 
-def _listens(port: int) -> bool:
-    """Whether somebody listens there; a connection to find out would count as a robot's."""
-    lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
-    return any(line.split()[1].endswith(f":{port:04X}") and line.split()[3] == "0A" for line in lines)
+def awaits_client(port: int) -> bool:
+    """Whether asebaplayground listens there and has no client. A connection to find out would count as a client.
+
+    A new client in the same simulation step in which the old one goes is its undoing: Aseba's SimpleDashelConnection
+    keeps the old client's stream for closing although its hub has freed it already (a core file shows closeOldStreams
+    reading it), and the playground ends by SIGSEGV, or does not, as the memory may be. So the next client comes when
+    the playground has let go of the last.
+    """
+    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    states = {words[3] for words in lines if words[1].endswith(f":{port:04X}")}
+    return LISTEN in states and states <= {LISTEN, TIME_WAIT}
