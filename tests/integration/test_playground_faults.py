@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import shutil
 import signal
 import sys
 import tempfile
@@ -19,19 +18,14 @@ import pytest
 
 from robot_agent.playground.bodies import find_bodies
 from robot_agent.playground.description import from_playground
-from robot_agent.playground.programs import PACKAGES
 from robot_agent.robots.aseba import INTERFACE, OBJECT_PATH, SERVICE, BusCalls
 from robot_agent.sim.courses import ROOM_HALF_SIZE_M
 from robot_agent.sim.poses import Pose, wrapped
 from robot_agent.sim.scenarios import FOLLOW_DISTANCE_M
 from tests.helpers import ROOT, Program, Programs, RawStation, TelemetryLog, driving, wait_until
+from tests.playground import awaits_client, needs_playground
 
-MISSING = [name for name in PACKAGES if shutil.which(name) is None]
-pytestmark = pytest.mark.skipif(
-    bool(MISSING),
-    reason=f"missing: Debian packages {sorted({PACKAGES[name] for name in MISSING})}; scripts/test installs them",
-)
-
+pytestmark = needs_playground
 WIDTH, HEIGHT = 160, 120
 FULL_SPEED = 125
 """Wire units; with --speed-scale 4 the Thymio's limit of 500 motor units."""
@@ -39,8 +33,6 @@ FRONT_M = 0.08
 """From a Thymio's origin to its front: Enki's body reaches 7.7 cm, rounded up."""
 STILL_M, STILL_RAD = 0.0003, 0.002
 """What a robot that stands moves between two looks at the most."""
-LISTEN, TIME_WAIT = "0A", "06"
-"""States of a connection in /proc/net/tcp."""
 
 
 @pytest.fixture
@@ -108,13 +100,6 @@ def onlooker(agent: Program, folder: Path) -> Iterator[Onlooker]:
     looking.close()
 
 
-def awaits_client(port: int) -> bool:
-    """Whether asebaplayground listens there and has let go of its last client: one that comes sooner may end it."""
-    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    states = {words[3] for words in lines if words[1].endswith(f":{port:04X}")}
-    return LISTEN in states and states <= {LISTEN, TIME_WAIT}
-
-
 def start_again(programs: Programs, agent: Program, name: str) -> None:
     """SIGKILL to a program of the agent's, then the same program anew, as its unit would on a robot."""
     children = Path(f"/proc/{agent.process.pid}/task/{agent.process.pid}/children").read_text().split()
@@ -141,7 +126,8 @@ def test_following_again_and_standing_soon(
 
     start_again(programs, agent, "asebamedulla")
     again_s = time.monotonic()
-    telemetry.wait_for(lambda message: "asebamedulla" in message.reason, 2.0, what="the robot being away")
+    away = telemetry.wait_for(lambda message: "asebamedulla" in message.reason, 2.0, what="the robot being away")
+    assert away.wheels_asked == (0, 0)
     halted = onlooker.robot.pose()
     telemetry.wait_for(
         lambda message: message.safety == "ok" and driving(message), 3.0, since_s=again_s, what="commands obeyed again"
@@ -158,9 +144,10 @@ def test_following_again_and_standing_soon(
 
     wait_until(caught_up, 8.0, "the leader straight ahead at its distance")
 
+    wait_until(lambda: telemetry.last is not None and sum(telemetry.last.wheels_asked) > 200, 8.0, "a brisk leader")
     before = onlooker.robot.pose()
-    time.sleep(0.3)
-    assert apart_m(onlooker.robot.pose(), before) > 0.006, "it stood already"
+    time.sleep(0.2)
+    assert apart_m(onlooker.robot.pose(), before) > 0.003, "it stood already"
     station.signal(signal.SIGKILL)
     killed_s = time.monotonic()
     stood_s = onlooker.moved_until_s() - killed_s
