@@ -108,6 +108,7 @@ def start_again(programs: Programs, agent: Program, name: str) -> None:
     entries = (process / "environ").read_text().split("\0")
     environment = dict(entry.partition("=")[::2] for entry in entries if entry)
     os.kill(int(process.name), signal.SIGKILL)
+    command[-1] = command[-1].partition(";sock=")[0]  # the agent's connection went with it: a new one of its own
     aseba_port = int(command[-1].rpartition(";")[2])
     wait_until(lambda: awaits_client(aseba_port), 2.0, "a playground that awaits a client")
     programs.start(*command, **environment)
