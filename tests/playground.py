@@ -13,10 +13,19 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_agent.playground.programs import PACKAGES
 from tests.helpers import ROOT, Program, Programs, free_ports, wait_until
 
-PROGRAMS = ("asebaplayground", "asebamedulla", "Xvfb", "dbus-daemon")
 DEBIAN_PYTHON = "/usr/bin/python3"
+MODULES = {
+    "cv2": "python3-opencv",
+    "dbus": "python3-dbus",
+    "gi": "python3-gi",
+    "msgpack": "python3-msgpack",
+    "numpy": "python3-numpy",
+    "zmq": "python3-zmq",
+}
+"""What the agent imports there, and the Debian package that brings it."""
 LISTEN, TIME_WAIT = "0A", "06"
 """States of a connection in /proc/net/tcp."""
 WORLD = """<!DOCTYPE aseba-playground>
@@ -29,16 +38,31 @@ WORLD = """<!DOCTYPE aseba-playground>
 """
 
 
-def missing() -> str:
-    """What these tests need and this machine has not, in words; empty when it is all there."""
-    absent = [name for name in PROGRAMS if shutil.which(name) is None]
-    modules = "import cv2, dbus, gi, msgpack, numpy, zmq"
-    if subprocess.run([DEBIAN_PYTHON, "-c", modules], capture_output=True, check=False).returncode:
-        absent.append(f"Debian's python3 with {modules.removeprefix('import ')}")
-    return ", ".join(absent)
+def missing_programs() -> list[str]:
+    """The Debian packages of the programs behind a playground that this machine has not."""
+    return sorted({package for name, package in PACKAGES.items() if shutil.which(name) is None})
 
 
-needs_aseba = pytest.mark.skipif(bool(missing()), reason=f"missing (scripts/test installs it): {missing()}")
+def missing_modules() -> list[str]:
+    """The Debian packages of what the agent needs in Debian's Python that this machine has not."""
+    looks = "import importlib.util as u, sys; print(*[n for n in sys.argv[1:] if u.find_spec(n) is None])"
+    try:
+        absent = subprocess.run(
+            [DEBIAN_PYTHON, "-c", looks, *MODULES], capture_output=True, text=True, check=True
+        ).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return ["python3"]
+    return [MODULES[name] for name in absent.split()]
+
+
+def skip_without(packages: list[str]) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(
+        bool(packages), reason=f"missing Debian packages: {' '.join(packages)} (scripts/test installs them)"
+    )
+
+
+needs_playground = skip_without(missing_programs())
+needs_aseba = skip_without(missing_programs() + missing_modules())
 
 
 EDGE_CM = 30.0

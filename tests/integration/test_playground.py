@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,14 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from robot_agent.playground.programs import PACKAGES
-from tests.helpers import Program, Programs, TelemetryLog, driving, standing, wait_until
-from tests.playground import awaits_client
+from tests.helpers import Program, Programs, TelemetryLog, standing, wait_until
+from tests.playground import needs_playground
 
-MISSING = [name for name in PACKAGES if shutil.which(name) is None]
 STARTED = {"Xvfb", "dbus-daemon", "asebaplayground", "asebamedulla"}
 
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {MISSING}; scripts/setup installs them")
+pytestmark = needs_playground
 
 
 @pytest.fixture
@@ -99,33 +96,6 @@ def test_a_killed_agent_leaves_no_programs(playground: Program) -> None:
     playground.exit_code()
 
     wait_until(lambda: all_gone(started), 3.0, "the end of the programs")
-
-
-def test_the_robot_outlives_asebamedulla(
-    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog]
-) -> None:
-    """Without asebamedulla the wheels are unknown and the station is told; 3 s after its return the robot drives."""
-    telemetry = listen()
-    programs.station(port, tracker="ztransform")
-    telemetry.wait_for(lambda message: driving(message) and (message.truth is not None), 15.0, what="driving")
-    medulla = children(playground)["asebamedulla"]
-    command = Path(f"/proc/{medulla}/cmdline").read_text().rstrip("\0").split("\0")
-    environment = dict(
-        entry.partition("=")[::2] for entry in Path(f"/proc/{medulla}/environ").read_text().split("\0") if entry
-    )
-
-    os.kill(medulla, signal.SIGTERM)
-    away = telemetry.wait_for(lambda message: "asebamedulla" in message.reason, 2.0, what="the robot being away")
-    assert away.wheels_asked == (0, 0)
-    aseba_port = int(command[-1].rpartition(";")[2])
-    wait_until(lambda: awaits_client(aseba_port), 2.0, "a playground that awaits a client")
-    programs.start(*command, **environment)
-    telemetry.wait_for(
-        lambda message: message.safety == "ok" and driving(message),
-        3.0,
-        since_s=away.monotonic_s,
-        what="driving again",
-    )
 
 
 def test_a_dead_playground_is_an_error_in_words(playground: Program) -> None:
