@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,11 +116,14 @@ class Playground:
         assert stdin is not None
         stdin.write(f"{x_cm} {y_cm} {angle_rad}\n".encode())
         stdin.flush()
-        self.wait_for(lambda look: abs(look["x"] - x_cm) < 1 and abs(look["y"] - y_cm) < 1, "the robot put there")
+        put_s = time.monotonic()
+        near = lambda look: abs(look["x"] - x_cm) < 2 and abs(look["y"] - y_cm) < 2  # noqa: E731
+        self.wait_for(near, "the robot put there", since_s=put_s)
 
-    def looks(self) -> list[dict[str, Any]]:
-        """All that the probe saw so far."""
-        return [json.loads(line) for line in self._probe.stdout.splitlines(keepends=True) if line.endswith("\n")]
+    def looks(self, since_s: float = 0.0) -> list[dict[str, Any]]:
+        """All that the probe saw since then."""
+        lines = self._probe.stdout.splitlines(keepends=True)
+        return [look for line in lines if line.endswith("\n") and (look := json.loads(line))["time_s"] >= since_s]
 
     def wait_for(
         self, condition: Callable[[dict[str, Any]], bool], what: str, timeout_s: float = 5.0, since_s: float = 0.0
@@ -127,7 +131,7 @@ class Playground:
         """The first look since then that meets the condition."""
 
         def found() -> dict[str, Any] | None:
-            return next((look for look in self.looks() if look["time_s"] >= since_s and condition(look)), None)
+            return next((look for look in self.looks(since_s) if condition(look)), None)
 
         return wait_until(found, timeout_s, what)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_agent.sim import World
+from robot_agent.sim.world import World
 
 
 class SimPanTilt:

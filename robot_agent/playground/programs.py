@@ -76,10 +76,11 @@ class Programs:
             self._start_medulla(medulla_port, follower_port)
             self.close = opened.pop_all().close
 
-    def why_ended(self, name: str) -> str | None:
-        """What a program said last, if it has ended; None while it runs."""
-        code = self._running[name].poll()
-        if code is None:
+    def why_ended(self, name: str, within_s: float = 0.0) -> str | None:
+        """What a program said last, if it has ended, or ends within this time; None while it runs."""
+        try:
+            code = self._running[name].wait(within_s)
+        except subprocess.TimeoutExpired:
             return None
         said = self._log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return f"{name} has ended with exit code {code}" + (f": {said[-1]}" if said else "")

@@ -13,7 +13,7 @@ import pytest
 import thymiodirect
 
 from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
-from tests.playground import EDGE_CM, Playground, needs_aseba
+from tests.playground import DEBIAN_PYTHON, EDGE_CM, Playground, needs_aseba
 
 pytestmark = needs_aseba
 FRAME_BYTES = 160 * 120
@@ -21,16 +21,24 @@ FULL_SPEED = 100
 """Wire units; with --speed-scale 4 these are 400 motor units, 13 cm/s."""
 
 
-@pytest.fixture
-def playground(programs: Programs, tmp_path: Path) -> Iterator[Playground]:
-    yield Playground(programs, tmp_path)
+@pytest.fixture(scope="module")
+def playground(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Playground]:
+    """One for all tests: it takes some seconds to come up."""
+    programs = Programs()
+    try:
+        yield Playground(programs, tmp_path_factory.mktemp("playground"))
+    finally:
+        programs.close()
 
 
 @pytest.fixture
-def agent(playground: Playground, port: int, pictures: Path) -> Program:
+def agent(playground: Playground, port: int, pictures: Path) -> Iterator[Program]:
+    """An agent that serves already; the robot stands far from everything and looks at the wall."""
     started = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--speed-scale", "4")
     started.says("serving robot", 20.0)
-    return started
+    playground.put(60.0, 100.0, 0.0)
+    yield started
+    started.kill()
 
 
 def drive(station: RawStation, seconds: float, left: int, right: int) -> None:
@@ -75,9 +83,10 @@ def test_commands_reach_the_motors_soon_and_sigterm_stops_them(
 
 def test_station_that_goes_leaves_a_robot_that_stands(playground: Playground, agent: Program, port: int) -> None:
     """A station that ends (as by SIGKILL, its sockets close): the robot's targets are zero within 700 ms."""
+    begun_s = time.monotonic()
     with RawStation(port, FRAME_BYTES) as station:
         drive(station, 1.0, 40, 40)
-        playground.wait_for(lambda look: look.get("left") == 160, "a robot that drives")
+        playground.wait_for(lambda look: look.get("left") == 160, "a robot that drives", since_s=begun_s)
     gone_s = time.monotonic()
     stood = playground.wait_for(standing, "standing wheels", since_s=gone_s)
     assert stood["time_s"] - gone_s <= 0.7
@@ -109,7 +118,7 @@ def test_asebamedulla_stops_and_starts_again(playground: Playground, agent: Prog
             back_s = time.monotonic()
             while time.monotonic() < back_s + 3.0:
                 drive(station, 0.1, 35, 35)
-                if any(look["time_s"] > back_s and look.get("left") == 140 for look in playground.looks()):
+                if any(look.get("left") == 140 for look in playground.looks(back_s)):
                     return
     finally:
         telemetry.close()
@@ -119,9 +128,10 @@ def test_asebamedulla_stops_and_starts_again(playground: Playground, agent: Prog
 def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: int) -> None:
     """Driving at the wall it stops before contact, and drives away backwards when told."""
     playground.put(120.0, 100.0, 0.0)
+    begun_s = time.monotonic()
     with RawStation(port, FRAME_BYTES) as station:
-        drive(station, 4.0, FULL_SPEED, FULL_SPEED)
-        nearest_cm = max(look["x"] for look in playground.looks())
+        drive(station, 3.0, FULL_SPEED, FULL_SPEED)
+        nearest_cm = max(look["x"] for look in playground.looks(begun_s))
         front_cm, wall_cm = nearest_cm + 8.0, 149.0
         assert nearest_cm > 122.0, "it never drove"
         assert front_cm < wall_cm, f"contact: front at {front_cm:.1f} cm, wall at {wall_cm} cm"
@@ -133,12 +143,13 @@ def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: in
 def test_a_table_s_edge(playground: Playground, agent: Program, port: int) -> None:
     """Driving at full speed to where the floor is black it stops with its wheels before the edge, and backs off."""
     playground.put(60.0, 100.0, math.pi)
+    begun_s = time.monotonic()
     telemetry = TelemetryLog(port).wait_until_live()
     try:
         with RawStation(port, FRAME_BYTES) as station:
             drive(station, 3.5, FULL_SPEED, FULL_SPEED)
             telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
-            nearest_cm = min(look["x"] for look in playground.looks())
+            nearest_cm = min(look["x"] for look in playground.looks(begun_s))
             assert EDGE_CM < nearest_cm < 50.0, "the wheels are at the robot's own place"
             backing_s = time.monotonic()
             drive(station, 1.5, -40, -40)
@@ -193,24 +204,30 @@ def test_it_drives_over_the_system_bus(playground: Playground, port: int, pictur
     )
     agent.says("serving robot", 20.0)
     with RawStation(port, FRAME_BYTES) as station:
+        begun_s = time.monotonic()
         drive(station, 1.0, 40, 40)
-        playground.wait_for(lambda look: look.get("left") == 40, "a robot that drives")
+        playground.wait_for(lambda look: look.get("left") == 40, "a robot that drives", since_s=begun_s)
+    agent.kill()
 
 
-@pytest.mark.parametrize(
-    ("options", "environment", "words"),
-    [
-        ((), {"DBUS_SESSION_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus session bus"),
-        (("--bus", "system"), {"DBUS_SYSTEM_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus system bus"),
-        (("--node", "thymio-X"), {}, "thymio-II"),
-    ],
-)
-def test_what_is_missing_is_said_in_one_line(playground, programs, port, pictures, options, environment, words) -> None:
-    """No bus, no such node: exit code 1 and a sentence; the second one names the nodes there are."""
-    playground.environment |= environment
-    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), *options)
+@pytest.mark.parametrize("bus", ["session", "system"])
+def test_no_bus_is_said_in_one_line(programs: Programs, port: int, pictures: Path, bus: str) -> None:
+    """Exit code 1 and a sentence that names the bus."""
+    agent = programs.start(
+        *(DEBIAN_PYTHON, "-m", "robot_agent", "--robot", "thymio", "--port", str(port), "--bus", bus),
+        *("--camera", "replay", "--source", str(pictures)),
+        DBUS_SESSION_BUS_ADDRESS="unix:path=/nowhere/bus",
+        DBUS_SYSTEM_BUS_ADDRESS="unix:path=/nowhere/bus",
+    )
     assert agent.exit_code(20.0) == 1
-    assert words in agent.stderr
+    assert f"There is no D-Bus {bus} bus" in agent.stderr
+
+
+def test_another_node_is_named(playground: Playground, port: int, pictures: Path) -> None:
+    """No such node: the nodes there are."""
+    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--node", "thymio-X")
+    assert agent.exit_code(20.0) == 1
+    assert "sees no node 'thymio-X' (it sees thymio-II; --node)" in agent.stderr
 
 
 def test_without_asebamedulla_its_absence_is_said(programs: Programs, port: int, pictures: Path) -> None:

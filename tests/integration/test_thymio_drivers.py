@@ -18,14 +18,16 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
+from protocol import Request
 from robot_agent.errors import AgentError
 from robot_agent.robots.thymio_node import COLOURS, ThymioNode
 from robot_agent.robots.thymio_serial import SerialThymioRobot
 from tests.aseba_node import AsebaNode
-from tests.helpers import Program, Programs, RawStation, TelemetryLog, free_ports, wait_until
+from tests.helpers import Operator, Program, Programs, RawStation, TelemetryLog, free_ports, wait_until
 
 FRAME_BYTES = 160 * 120
 MISSING = [name for name in ("asebamedulla", "dbus-daemon") if shutil.which(name) is None]
@@ -293,7 +295,9 @@ def test_a_missing_package_is_named(module: str, extra: str, monkeypatch) -> Non
         SerialThymioRobot(device="/dev/ttyACM7")
 
 
-def test_agent_and_station_tell_by_the_robot_s_lights(programs: Programs, port: int, pictures, node: AsebaNode) -> None:
+def test_agent_and_station_tell_by_the_robot_s_lights(
+    programs: Programs, port: int, pictures: Path, node: AsebaNode, operator: Operator
+) -> None:
     """Red without a station, green while it tracks; the centre button stops and releases, an edge limits."""
     agent = programs.start(
         *(sys.executable, "-m", "robot_agent", "--robot", "thymio-serial", "--device", f"tcp:127.0.0.1:{node.port}"),
@@ -303,6 +307,9 @@ def test_agent_and_station_tell_by_the_robot_s_lights(programs: Programs, port: 
     telemetry = TelemetryLog(port).wait_until_live()
     try:
         wait_until(lambda: node.get("leds.top") == [32, 0, 0], 2.0, "red")
+        assert "show" in operator.hello().capabilities
+        refused = operator.ask(Request(action="show", text="purple"))
+        assert not refused.ok and "tracking, lost, idle, not 'purple'" in refused.error
         station = programs.station(port, "--behaviour", "follow")
         wait_until(lambda: node.get("leds.top") == [0, 32, 0], 15.0, "green")
         node.set("button.center", 1)

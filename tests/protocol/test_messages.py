@@ -112,6 +112,15 @@ def test_unknown_keys_are_passed_over_at_every_depth():
     assert decode_telemetry(packed(fields)) == TELEMETRY
 
 
+def test_telemetry_of_an_older_agent_is_read_and_a_newer_one_s_by_an_older_station():
+    """The battery came later: a message without it says that it is not known, one with it keeps all the rest."""
+    fields = msgpack.unpackb(encode(TELEMETRY))
+    del fields["battery_v"]
+    old = decode_telemetry(msgpack.packb(fields))
+    assert old.battery_v is None
+    assert dataclasses.replace(old, battery_v=TELEMETRY.battery_v) == TELEMETRY
+
+
 def test_missing_keys_take_their_defaults():
     telemetry = decode_telemetry(packed(LEAST_TELEMETRY))
     assert telemetry == Telemetry(sequence=1, monotonic_s=0.5, wall_s=2.0)
@@ -194,7 +203,7 @@ def test_what_is_no_map_with_text_keys_is_refused(value):
 
 
 def test_an_unknown_action_is_refused_with_the_list_of_those_there_are():
-    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure"):
+    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure, show"):
         decode_request(packed({"action": "dance"}))
 
 

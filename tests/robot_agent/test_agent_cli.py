@@ -11,6 +11,7 @@ from robot_agent.cameras.usb import UsbCamera
 from robot_agent.errors import AgentError, CameraError
 from robot_agent.rig import RigOptions, build_rig
 from robot_agent.robots.none import NoRobot
+from robot_agent.settings_file import RobotSettings, save_robot_settings
 
 
 def usage_error(capsys, *arguments: str) -> str:
@@ -35,6 +36,42 @@ def test_rows_are_first_and_past_last(capsys, rows):
 @pytest.mark.parametrize("value", ["0", "-3", "nan", "inf", "fast", "1e9"])
 def test_rates_and_scales_are_positive_numbers(capsys, option, value):
     assert "is no positive number" in usage_error(capsys, f"{option}={value}")
+
+
+@pytest.mark.parametrize("trim", ["0.4", "2.1", "nan", "-1", "much", ""])
+def test_a_trim_is_a_number_near_1(capsys, trim):
+    assert "is no trim; give a number from 0.5 to 2" in usage_error(capsys, f"--trim={trim}")
+
+
+@pytest.mark.parametrize(
+    "device", ["tcp:", "tcp:pi", "tcp:pi:", "tcp::33333", "tcp:pi:0", "tcp:pi:65536", "tcp:pi:http"]
+)
+def test_a_device_is_a_port_or_a_whole_address(capsys, device):
+    assert "is no address; write tcp:HOST:PORT" in usage_error(capsys, f"--device={device}")
+
+
+def test_the_trim_is_the_option_s_else_the_settings_file_s(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    save_robot_settings(RobotSettings(trim=1.02))
+    trims = []
+    monkeypatch.setattr(
+        "robot_agent.robots.thymio_serial.SerialThymioRobot", lambda **options: trims.append(options["trim"])
+    )
+    monkeypatch.setattr("robot_agent.rig._open_camera", lambda options: None)
+    build_rig(RigOptions(robot="thymio-serial", camera="usb"))
+    build_rig(RigOptions(robot="thymio-serial", camera="usb", trim=0.97))
+    assert trims == [1.02, 0.97]
+
+
+def test_a_broken_settings_file_ends_the_agent_in_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    save_robot_settings(RobotSettings()).write_text("trim: 1.02")
+    (tmp_path / "picture").mkdir()
+    assert cv2.imwrite(str(tmp_path / "picture/1.png"), np.zeros((48, 64), np.uint8))
+    replay = ["--camera", "replay", "--source", str(tmp_path / "picture")]
+    assert cli.main(["--robot", "thymio-serial", "--device", "tcp:127.0.0.1:1", *replay]) == cli.EXIT_FAILED
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("robot-agent: The robot's settings in") and "no JSON" in told
 
 
 @pytest.mark.parametrize("port", ["0", "65533", "-1", "http", "31440.5"])

@@ -11,7 +11,8 @@ import pytest
 from protocol import PanTiltLimits
 from robot_agent.pantilt.sim import SimPanTilt
 from robot_agent.pantilt.slew import PI_PAN
-from robot_agent.sim import Faults, World
+from robot_agent.sim.faults import Faults
+from robot_agent.sim.world import World
 
 SILENT = Faults(noise_sigma=0.0)
 
