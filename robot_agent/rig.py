@@ -67,10 +67,17 @@ class Rig:
     bus: str | None = None
     """Address of the D-Bus bus that a playground has for itself."""
 
+    def close(self) -> None:
+        """Let go of all of it, the robot first."""
+        with ExitStack() as closing:  # the last one named is the first one called
+            closing.callback(self.camera.close)
+            if self.pan_tilt is not None:
+                closing.callback(self.pan_tilt.close)
+            closing.callback(self.robot.close)
 
-def build_rig(options: RigOptions) -> Rig:
-    """Open camera, robot and pan-tilt. Raises AgentError, in words, when one is not to be had or they do not go
-    together."""
+
+def check_together(options: RigOptions) -> None:
+    """Raises UsageError, in words, when camera, robot and pan-tilt do not go together."""
     for name in OWN_CAMERA:
         if name in (options.robot, options.camera) and options.robot != options.camera:
             raise UsageError(
@@ -83,12 +90,19 @@ def build_rig(options: RigOptions) -> Rig:
             f"--source {options.source}: --robot {options.robot} has a camera of its own; to stream a recording use "
             "--robot none --camera replay."
         )
-    simulated = options.robot in OWN_CAMERA
-    if options.pan_tilt == ("servoblaster" if simulated else "sim"):
+    if options.robot == "playground" and options.pan_tilt != "none":
+        raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
+    if options.pan_tilt == ("servoblaster" if options.robot == "sim" else "sim"):
         raise UsageError(
             f"--pan-tilt {options.pan_tilt} does not turn this camera: use "
-            + ("--pan-tilt sim with --robot sim." if simulated else "--pan-tilt servoblaster.")
+            + ("--pan-tilt sim." if options.robot == "sim" else "--pan-tilt servoblaster.")
         )
+
+
+def build_rig(options: RigOptions) -> Rig:
+    """Open camera, robot and pan-tilt. Raises AgentError, in words, when one is not to be had or they do not go
+    together."""
+    check_together(options)
     if options.robot == "sim":
         return _simulation(options)
     if options.robot == "playground":
@@ -96,7 +110,7 @@ def build_rig(options: RigOptions) -> Rig:
     with ExitStack() as opened:
         camera = open_camera(options)
         opened.callback(camera.close)
-        pan_tilt = ServoBlaster(options.servos) if options.pan_tilt == "servoblaster" else None
+        pan_tilt = open_servos(options)
         if pan_tilt is not None:
             opened.callback(pan_tilt.close)
         rig = Rig(camera=camera, robot=open_robot(options), pan_tilt=pan_tilt)
@@ -115,6 +129,11 @@ def open_robot(options: RigOptions) -> Robot:
 
         return SerialThymioRobot(device=options.device, node=options.node, trim=_trim(options))
     return NoRobot()
+
+
+def open_servos(options: RigOptions) -> PanTilt | None:
+    """The servos alone, of a camera that is no part of a robot; None: it is fixed. Raises PanTiltError."""
+    return ServoBlaster(options.servos) if options.pan_tilt == "servoblaster" else None
 
 
 def _trim(options: RigOptions) -> float:
@@ -171,8 +190,6 @@ def _playground(options: RigOptions) -> Rig:
     from robot_agent.playground.world import PlaygroundWorld
     from robot_agent.robots.playground import PlaygroundRobot
 
-    if options.pan_tilt != "none":
-        raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
     if options.lockstep:
         raise UsageError("The playground keeps its own time: use --rhythm free (or --robot sim for lockstep).")
     faults = options.faults

@@ -7,35 +7,25 @@ import contextlib
 import getpass
 import logging
 import re
-import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 from protocol import RobotLimits
 from robot_agent import __version__
 from robot_agent.access import AllowList
-from robot_agent.cli import (
-    END_SIGNALS,
-    EXIT_DONE,
-    EXIT_FAILED,
-    EXIT_USAGE,
-    agent_parser,
-    positive,
-    rig_options,
-    safety_settings,
-)
 from robot_agent.doctor import calibration, machine
 from robot_agent.doctor import link as network
 from robot_agent.doctor.camera import check_camera, missing_camera
 from robot_agent.doctor.findings import Check, Finding, Verdict, examine, line, summary
 from robot_agent.doctor.thymio import check_thymio
+from robot_agent.ending import EXIT_DONE, EXIT_FAILED, exit_code, interrupt, on_end_signals
 from robot_agent.errors import AgentError, UsageError
-from robot_agent.rig import OWN_CAMERA, RigOptions, build_rig, open_camera, open_robot
+from robot_agent.options import agent_parser, positive, rig_options, safety_settings
+from robot_agent.rig import OWN_CAMERA, RigOptions, build_rig, check_together, open_camera, open_robot, open_servos
 from robot_agent.robots.base import Robot
 from robot_agent.settings_file import load_robot_settings, save_robot_settings
 
@@ -92,8 +82,7 @@ def main(arguments: Sequence[str]) -> int:
     """Returns the exit code: 0 all is well, 1 something is to be mended, 2 wrong usage."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    for number in END_SIGNALS:
-        signal.signal(number, _interrupt)
+    on_end_signals(interrupt)
     logging.basicConfig(level=logging.ERROR, format="robot-agent doctor: %(message)s")
     try:
         if options.sink:
@@ -106,11 +95,7 @@ def main(arguments: Sequence[str]) -> int:
         return EXIT_FAILED
     except AgentError as error:
         print(f"robot-agent doctor: {error}", file=sys.stderr)
-        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+        return exit_code(error)
 
 
 # -- looking -------------------------------------------------------------------------------------------------------
@@ -119,6 +104,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 def _examine(options: argparse.Namespace) -> int:
     if options.report is not None and not options.report.parent.is_dir():
         raise UsageError(f"--report: there is no folder {options.report.parent}.")
+    check_together(rig_options(options))
     findings = examine(_checks(options), lambda finding: print(line(finding), flush=True))
     print(summary(findings))
     if options.report is not None:
@@ -143,6 +129,7 @@ def _checks(options: argparse.Namespace) -> list[tuple[str, Check]]:
     else:
         checks.append(("camera", lambda: _check_camera(rig, fps)))
         checks.append(("robot", lambda: _check_robot(rig)))
+        checks.append(("pan-tilt", lambda: _check_servos(rig)))
     checks += [
         ("wifi", lambda: network.check_wifi(needed)),
         ("link", lambda: network.check_link(peer, needed, width * rows)),
@@ -172,10 +159,19 @@ def _check_robot(rig: RigOptions) -> Iterator[Finding]:
             yield _await_ready(robot)
 
 
+def _check_servos(rig: RigOptions) -> Iterator[Finding]:
+    """Servos do not answer: a person has to look where the camera looks."""
+    if (servos := open_servos(rig)) is None:
+        return
+    with contextlib.closing(servos):
+        said = f"{rig.servos.device} takes pulses, the camera is centred"
+        yield Finding("pan-tilt", Verdict.OK, said, "does it look straight ahead? If not: --pan-pulse, --tilt-pulse")
+
+
 def _check_own_world(options: RigOptions, fps: float) -> Iterator[Finding]:
     """A robot whose camera is part of its world: both come up together."""
     rig = build_rig(options)
-    with contextlib.closing(rig.camera), contextlib.closing(rig.robot):
+    with contextlib.closing(rig):
         yield from check_camera(rig.camera, fps)
         yield _await_ready(rig.robot)
         if rig.bus is not None:
@@ -261,7 +257,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _confirm(speed: int, run_s: float) -> None:
-    way_cm = 100 * speed * run_s * RobotLimits().metres_per_unit_s
+    way_cm = calibration.expected_cm(speed, run_s, RobotLimits().metres_per_unit_s)
     print(
         f"The robot will drive straight on for {run_s:g} s, about {way_cm:.0f} cm. Put it on a free floor with its "
         "axle on a line, pointing along another line (a seam of the floor, a taped string). Ctrl-C, its centre "
@@ -274,21 +270,15 @@ def _confirm(speed: int, run_s: float) -> None:
 def _drive(options: argparse.Namespace, speed: int) -> None:
     """Drives; the driver's `close` reads back that the wheels stand, whatever happened."""
     stopping = threading.Event()
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        stopping.set()
-
     rig = rig_options(options)
     with contextlib.closing(open_robot(rig)) as robot:
         ready = _await_ready(robot)
         if ready.verdict is not Verdict.OK:
             raise AgentError(f"The robot is not ready: {ready.said}.")
-        for number in END_SIGNALS:
-            signal.signal(number, stop)
+        on_end_signals(stopping.set)
         print(f"driving for {options.run_s:g} s", flush=True)
         calibration.drive_straight(robot, speed, options.run_s, stopping.is_set, safety=safety_settings(options))
-    for number in END_SIGNALS:
-        signal.signal(number, _interrupt)
+    on_end_signals(interrupt)
 
 
 def _ask(question: str) -> float:

@@ -32,12 +32,14 @@ _PACKAGES = {
     "zeroconf": ("zeroconf", "python3-zeroconf"),
 }
 """Module, PyPI's name for it (empty: not from there), Debian's name for it."""
-_NEEDED = ("numpy", "cv2", "zmq", "msgpack")
+_NEEDED = ("numpy", "zmq", "msgpack")
 _NEEDED_BY = {
     "thymio": ("dbus", "gi"),
-    "playground": ("dbus", "gi", "mujoco"),
-    "sim": ("mujoco",),
+    "playground": ("dbus", "gi", "mujoco", "cv2"),
+    "sim": ("mujoco", "cv2"),
     "thymio-serial": ("thymiodirect", "serial"),
+    "usb": ("cv2",),
+    "replay": ("cv2",),
     "picamera2": ("picamera2",),
 }
 THYMIO_USB = {("0617", "000a"): "Thymio II", ("0617", "000c"): "Thymio's wireless dongle"}

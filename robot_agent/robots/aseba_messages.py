@@ -13,7 +13,8 @@ from dataclasses import dataclass
 DESCRIPTION, NODE_PRESENT, GET_DESCRIPTION, LIST_NODES = 0x9000, 0x900C, 0xA000, 0xA011
 OLDEST_PROTOCOL = 4
 """The oldest version that asebamedulla 1.5 and 1.6 accept (ASEBA_MIN_TARGET_PROTOCOL_VERSION)."""
-_HEADER = struct.Struct("<HHH")
+HEADER = struct.Struct("<HHH")
+"""Length of the payload, source, type."""
 _NUMBER = struct.Struct("<H")
 
 
@@ -26,7 +27,7 @@ class AsebaMessage:
     payload: bytes
 
     def __bytes__(self) -> bytes:
-        return _HEADER.pack(len(self.payload), self.source, self.kind) + self.payload
+        return HEADER.pack(len(self.payload), self.source, self.kind) + self.payload
 
     @property
     def protocol_version(self) -> int | None:
@@ -55,11 +56,11 @@ class AsebaDecoder:
         """The messages that these bytes complete."""
         self._buffer += data
         messages = []
-        while len(self._buffer) >= _HEADER.size:
-            length, source, kind = _HEADER.unpack_from(self._buffer)
-            end = _HEADER.size + length
+        while len(self._buffer) >= HEADER.size:
+            length, source, kind = HEADER.unpack_from(self._buffer)
+            end = HEADER.size + length
             if len(self._buffer) < end:
                 break
-            messages.append(AsebaMessage(source, kind, bytes(self._buffer[_HEADER.size : end])))
+            messages.append(AsebaMessage(source, kind, bytes(self._buffer[HEADER.size : end])))
             del self._buffer[:end]
         return messages

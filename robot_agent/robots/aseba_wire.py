@@ -10,19 +10,17 @@ from __future__ import annotations
 import contextlib
 import glob
 import socket
-import struct
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from robot_agent.errors import AgentError
+from robot_agent.robots.aseba_messages import HEADER
 
 SERIAL_PORTS = "/dev/ttyACM*"
 READ_S = 0.1
 WRITE_S = 0.5
 CONNECT_S = 1.0
-HEADER = struct.Struct("<HHH")
-"""Length of the payload, source, type."""
 MAX_PAYLOAD = 1024
 """Aseba's own limit is about half of that."""
 MESSAGE_S = 1.0

@@ -203,7 +203,7 @@ def test_what_is_no_map_with_text_keys_is_refused(value):
 
 
 def test_an_unknown_action_is_refused_with_the_list_of_those_there_are():
-    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure, show"):
+    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure, look, show"):
         decode_request(packed({"action": "dance"}))
 
 
