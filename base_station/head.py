@@ -1,19 +1,14 @@
-"""The robot's camera on its pan-tilt, as the station has it: where it looked in a frame, where it is to look.
-
-A request and its reply take a round trip, which the loop has no time for: a thread asks, and only for the newest goal.
-"""
+"""The robot's camera on its pan-tilt, as the station has it: where it looked in a frame, where it is to look."""
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections import OrderedDict
 
+from base_station.courier import Courier
 from base_station.frame_clock import KEPT, FrameKey
-from base_station.sockets import ControlLine, LinkLost
-from protocol import FrameStamp, PanTiltLimits, ProtocolError, Request
-
-log = logging.getLogger(__name__)
+from base_station.sockets import ControlLine
+from protocol import FrameStamp, PanTiltLimits, Request
 
 FAREWELL_S = 0.5
 Angles = tuple[float, float]
@@ -52,55 +47,19 @@ class PanHead:
         self.limits = limits
         self.pan_rad = 0.0
         """Where the camera looked in the frame that is dealt with."""
-        self._line = line
-        self._changed = threading.Condition()
-        self._goal: Angles | None = None
-        self._asking = False
-        self._closing = False
-        self._complaint = ""
-        self._thread = threading.Thread(target=self._run, name="head", daemon=True)
-        self._thread.start()
+        self._courier = Courier(line)
 
     def look(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
         """Turn there, cut to the limits; the newest goal wins. Returns at once."""
-        with self._changed:
-            self._goal = self.limits.clamped(pan_rad, tilt_rad)
-            self._changed.notify_all()
+        pan_rad, tilt_rad = self.limits.clamped(pan_rad, tilt_rad)
+        self._courier.send(Request(action="look", pan_rad=pan_rad, tilt_rad=tilt_rad))
 
     def settle(self, timeout_s: float) -> bool:
         """Wait until the robot has taken the newest goal (or refused it). For lockstep, where time stands meanwhile."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._goal is None and not self._asking, timeout_s)
+        return self._courier.settle(timeout_s)
 
     def close(self) -> None:
         """Ask for the centre, and let go."""
         self.look(0.0)
         self.settle(FAREWELL_S)
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._goal is not None or self._closing)
-                goal, self._goal = self._goal, None
-                if goal is None or self._closing:
-                    break
-                self._asking = True
-            self._ask(*goal)
-            with self._changed:
-                self._asking = False
-                self._changed.notify_all()
-        self._line.close()
-
-    def _ask(self, pan_rad: float, tilt_rad: float) -> None:
-        try:
-            reply = self._line.ask(Request(action="look", pan_rad=pan_rad, tilt_rad=tilt_rad))
-            complaint = "" if reply.ok else f"the robot does not turn its camera: {reply.error}"
-        except (LinkLost, ProtocolError) as error:
-            complaint = f"the camera cannot be turned: {error}"
-        if complaint and complaint != self._complaint:
-            log.warning("%s", complaint)
-        self._complaint = complaint
+        self._courier.close()

@@ -86,8 +86,7 @@ class Link:
         self._on_telemetry = on_telemetry
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._control = Control(self._context, self.settings.host, self.settings.port + 3)
-        # A way of its own to the control port: an emergency stop must not queue behind the lights.
-        self._announcer = Announcer(Control(self._context, self.settings.host, self.settings.port + 3).ask)
+        self._announcer: Announcer | None = None
         self._feed: TelemetryFeed | None = None
         self._session: _Session | None = None
         self._clock = FrameClock()
@@ -99,14 +98,14 @@ class Link:
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
 
     def __enter__(self) -> Link:
-        self._announcer.__enter__()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closing.set()
         self._thread.join()
-        self._announcer.__exit__()
+        if self._announcer is not None:
+            self._announcer.close()
         if self._feed is not None:
             self._feed.close()
         self._context.destroy(linger=0)
@@ -155,7 +154,8 @@ class Link:
         return self._control.ask(request)
 
     def control_line(self) -> ControlLine:
-        """A connection to the control port of one's own; close it before the link ends."""
+        """A connection to the control port of one's own, so that an emergency stop never queues behind what is asked
+        there. Close it before the link ends."""
         return ControlLine(self._context, self.settings.host, self.settings.port + 3)
 
     def camera_angles(self, frame: Frame) -> Angles | None:
@@ -164,8 +164,11 @@ class Link:
 
     def show(self, sight: str, connection: str) -> None:
         """Let the robot's lights, where it has any, tell what is seen (one of SIGHTS). Returns at once."""
-        if self.hello is not None and "show" in self.hello.capabilities:
-            self._announcer.say(sight, connection)
+        if self.hello is None or "show" not in self.hello.capabilities:
+            return
+        if self._announcer is None:
+            self._announcer = Announcer(self.control_line())
+        self._announcer.say(sight, connection)
 
     @property
     def connected(self) -> bool:
