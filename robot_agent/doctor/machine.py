@@ -94,6 +94,11 @@ def check_python(robot: str, camera: str) -> Iterator[Finding]:
 
 
 def _version(module: str) -> str:
+    """Three numbers at the most: four would look like an address, and a report leaves those out."""
+    return ".".join(_whole_version(module).split(".")[:3])
+
+
+def _whole_version(module: str) -> str:
     for name in (_PACKAGES[module][0].partition("<")[0], module):
         try:
             return metadata.version(name)

@@ -45,7 +45,8 @@ def check_thymio(bus: str, node: str) -> Iterator[Finding]:
     try:
         calls = BusCalls(bus)
     except AgentError as error:
-        mend = "dbus-run-session bash, and start asebamedulla and the agent in that shell" if bus == "session" else ""
+        no_bus = bus == "session" and not isinstance(error.__cause__, ImportError)
+        mend = "dbus-run-session bash, and start asebamedulla and the agent in that shell" if no_bus else ""
         yield Finding("bus", Verdict.FAILED, str(error), mend)
         return
     try:
