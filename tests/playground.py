@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -134,6 +135,19 @@ class Playground:
             return next((look for look in self.looks(since_s) if condition(look)), None)
 
         return wait_until(found, timeout_s, what)
+
+
+def agent_with_playground(programs: Programs, port: int, folder: Path, *options: str) -> Program:
+    """An agent that serves already, behind a leader in a playground of its own; its temporary files are in `folder`
+    (a short path: a socket's may have 107 characters)."""
+    agent = programs.start(
+        *(sys.executable, "-m", "robot_agent", "--port", str(port), "--robot", "playground", "--seed", "3"),
+        *("--speed-scale", "4"),
+        *options,
+        TMPDIR=str(folder),
+    )
+    agent.says("serving robot playground", 30.0)
+    return agent
 
 
 def awaits_client(port: int) -> bool:

@@ -19,7 +19,9 @@ DARK, BRIGHT, FLAT = 10.0, 245.0, 2.0
 """Gray levels: a mean outside of the first two, or a deviation below the third, is a lid or a lamp."""
 
 
-def check_camera(camera: Camera, asked_fps: float, clock: Callable[[], float] = time.monotonic) -> Iterator[Finding]:
+def check_camera(
+    camera: Camera, asked_fps: float, clock: Callable[[], float] = time.monotonic, *, simulated: bool = False
+) -> Iterator[Finding]:
     """Reads for some seconds. The camera stays open."""
     camera.begin()
     first = None
@@ -45,7 +47,8 @@ def check_camera(camera: Camera, asked_fps: float, clock: Callable[[], float] = 
     if fps >= GOOD_RATE * asked_fps:
         yield Finding("camera", Verdict.OK, said)
     else:
-        mend = f"more light (long exposures are slow), or ask for what it gives: --fps {max(1, int(fps))}"
+        slow = "end other programs (this computer draws the pictures)" if simulated else "more light (dark is slow)"
+        mend = f"{slow}, or ask for what it gives: --fps {max(1, int(fps))}"
         yield Finding("camera", Verdict.WARNING, said, mend)
     mean, deviation = float(first.image.mean()), float(first.image.std())
     if not DARK <= mean <= BRIGHT or deviation < FLAT:

@@ -172,7 +172,7 @@ def _check_own_world(options: RigOptions, fps: float) -> Iterator[Finding]:
     """A robot whose camera is part of its world: both come up together."""
     rig = build_rig(options)
     with contextlib.closing(rig):
-        yield from check_camera(rig.camera, fps)
+        yield from check_camera(rig.camera, fps, simulated=True)
         yield _await_ready(rig.robot)
         if rig.bus is not None:
             yield from check_thymio(rig.bus, options.node)

@@ -117,7 +117,9 @@ def _install(modules: Sequence[str]) -> str:
         return f"{sys.prefix}/bin/pip install {' '.join(repr(name) if '<' in name else name for name in from_pip)}"
     if len(from_apt) == len(modules):
         return f"sudo apt install {' '.join(from_apt)}"
-    return 'see robot_agent/README.md, "What runs where"'
+    if "mujoco" in modules:
+        return "scripts/setup --playground, then .venv/bin/robot-agent (on a PC: a Pi has no use for the simulator)"
+    return 'see robot_agent/README.md, "Thymio II", for a virtual environment with thymiodirect'
 
 
 def check_serial(robot: str) -> Iterator[Finding]:

@@ -118,7 +118,7 @@ def check_packages(device: str | None) -> None:
 
 
 def open_wire(device: str | None, is_sound: Callable[[int, int, bytes], bool]) -> Wire:
-    """Open a serial port's path, "tcp:HOST:PORT", or with None the first serial port that looks like a Thymio's.
+    """Open a serial port's path, "tcp:HOST:PORT", or with None the first of SERIAL_PORTS.
 
     Raises WireError. `is_sound`: see Wire.
     """

@@ -162,7 +162,8 @@ class ThymioNode(ABC):
     def has_gone(self, why: str) -> None:
         """Nothing is known of it any more, and what was wanted is not wanted on its return."""
         if why != self.why_absent:
-            log.warning("robot: %s", why)
+            if self._found.is_set():  # until then construction waits, and tells the reason itself
+                log.warning("robot: %s", why)
             self.why_absent = why
         with self._lock:
             self._wanted = (0, 0)

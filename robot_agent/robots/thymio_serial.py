@@ -62,8 +62,8 @@ class SerialThymioRobot(ThymioNode):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(trim=trim, clock=clock)
+        self._thymiodirect = _load()  # first: what brings it brings pyserial too
         check_packages(device)
-        self._thymiodirect = _load()
         self._device, self._name = device, node
         self._session: _Session | None = None
         self._closing = False

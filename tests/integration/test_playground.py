@@ -8,14 +8,13 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.helpers import Program, Programs, TelemetryLog, standing, wait_until
-from tests.playground import needs_playground
+from tests.playground import agent_with_playground, needs_playground
 
 STARTED = {"Xvfb", "dbus-daemon", "asebaplayground", "asebamedulla"}
 
@@ -23,22 +22,8 @@ pytestmark = needs_playground
 
 
 @pytest.fixture
-def scratch() -> Iterator[Path]:
-    """Where the agent puts its temporary files. Short: a socket's path may have 107 characters."""
-    with tempfile.TemporaryDirectory(prefix="pg") as folder:
-        yield Path(folder)
-
-
-@pytest.fixture
-def playground(programs: Programs, port: int, scratch: Path) -> Program:
-    """An agent in the playground that serves already, with a small picture."""
-    agent = programs.start(
-        *(sys.executable, "-m", "robot_agent", "--port", str(port), "--robot", "playground", "--seed", "3"),
-        *("--size", "320x240", "--speed-scale", "4"),
-        TMPDIR=str(scratch),
-    )
-    agent.says("serving robot playground", 30.0)
-    return agent
+def playground(programs: Programs, port: int, folder: Path) -> Program:
+    return agent_with_playground(programs, port, folder, "--size", "320x240")
 
 
 def children(agent: Program) -> dict[str, int]:
@@ -61,10 +46,10 @@ def all_gone(started: dict[str, int]) -> bool:
 
 
 def test_it_follows_the_leader_and_leaves_nothing(
-    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog], scratch: Path
+    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog], folder: Path
 ) -> None:
     """15 s behind the leader: tracked, straight ahead, at the distance. SIGTERM ends every program and every file."""
-    telemetry, summary = listen(), scratch / "summary.json"
+    telemetry, summary = listen(), folder / "summary.json"
     started = children(playground)
     assert started.keys() == STARTED
     station = programs.station(port, "--duration", "15", "--summary", str(summary), tracker="ztransform")
@@ -84,7 +69,7 @@ def test_it_follows_the_leader_and_leaves_nothing(
     assert playground.exit_code() == 0, playground.stderr
     assert "did not confirm" not in playground.stderr
     assert all_gone(started)
-    assert [path.name for path in scratch.iterdir()] == ["summary.json"]
+    assert [path.name for path in folder.iterdir()] == ["summary.json"]
 
 
 def test_a_killed_agent_leaves_no_programs(playground: Program) -> None:
@@ -109,11 +94,11 @@ def test_a_dead_playground_is_an_error_in_words(playground: Program) -> None:
     assert all_gone(started)
 
 
-def test_a_missing_program_is_named_with_its_package(scratch: Path) -> None:
+def test_a_missing_program_is_named_with_its_package(folder: Path) -> None:
     """Nothing on the search path: what to install is said, in one line."""
     finished = subprocess.run(
         [sys.executable, "-m", "robot_agent", "--robot", "playground"],
-        env=os.environ | {"PATH": str(scratch)},
+        env=os.environ | {"PATH": str(folder)},
         capture_output=True,
         text=True,
         timeout=60,

@@ -8,7 +8,6 @@ import math
 import os
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,7 +22,7 @@ from robot_agent.sim.courses import ROOM_HALF_SIZE_M
 from robot_agent.sim.poses import Pose, wrapped
 from robot_agent.sim.scenarios import FOLLOW_DISTANCE_M
 from tests.helpers import ROOT, Program, Programs, RawStation, TelemetryLog, driving, wait_until
-from tests.playground import awaits_client, needs_playground
+from tests.playground import agent_with_playground, awaits_client, needs_playground
 
 pytestmark = needs_playground
 WIDTH, HEIGHT = 160, 120
@@ -36,22 +35,8 @@ STILL_M, STILL_RAD = 0.0003, 0.002
 
 
 @pytest.fixture
-def folder() -> Iterator[Path]:
-    """The agent's temporary files; its bus lies there. Short: a socket's path may have 107 characters."""
-    with tempfile.TemporaryDirectory(prefix="pf") as path:
-        yield Path(path)
-
-
-@pytest.fixture
 def agent(programs: Programs, port: int, folder: Path) -> Program:
-    """An agent in the playground, behind a leader."""
-    started = programs.start(
-        *(sys.executable, "-m", "robot_agent", "--port", str(port), "--robot", "playground", "--seed", "3"),
-        *("--size", f"{WIDTH}x{HEIGHT}", "--speed-scale", "4"),
-        TMPDIR=str(folder),
-    )
-    started.says("serving robot playground", 30.0)
-    return started
+    return agent_with_playground(programs, port, folder, "--size", f"{WIDTH}x{HEIGHT}")
 
 
 class Onlooker:

@@ -265,7 +265,9 @@ def test_no_port_is_an_error_in_words(device, said, monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "sent", [b"\x00" * 64, b"\xff" * 64, b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x06\x00\x01\x00\x00\x90"]
+    "sent",
+    [b"\x00" * 64, b"\xff" * 64, b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x06\x00\x01\x00\x00\x90"],
+    ids=["zeros", "ones", "a web server", "half a message"],
 )
 def test_something_else_at_the_port_is_told(sent: bytes, monkeypatch, capfd) -> None:
     """Not Aseba's protocol, or a message that breaks off: a sentence, never a traceback."""
