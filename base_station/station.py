@@ -25,7 +25,8 @@ from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 log = logging.getLogger(__name__)
 
 WAIT_S = 0.1
-SIGHTS = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
+SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
+"""What the lights are told (one of the protocol's SIGHTS)."""
 PATIENCE_S = 10.0
 LOCKSTEP_LOOK_S = 0.5
 """In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
@@ -178,7 +179,7 @@ class Station:
         """What the robot's lights are to tell; a station that does not follow is idle whatever its tracker sees."""
         if self.settings.behaviour != "follow":
             return "idle"
-        return SIGHTS.get(result.state, "idle")
+        return SIGHT_OF.get(result.state, "idle")
 
     def _count(self, frame: Frame) -> None:
         self._frames += 1
