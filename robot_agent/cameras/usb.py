@@ -88,9 +88,8 @@ class UsbCamera:
 
 def _open(device: str) -> cv2.VideoCapture:
     path = f"/dev/video{device}" if device.isdigit() else device
-    if (
-        not path.startswith("/") or Path(path).exists()
-    ):  # OpenCV would print lines of its own about one that is not there
+    # OpenCV would print lines of its own about a device that is not there.
+    if not path.startswith("/") or Path(path).exists():
         capture = cv2.VideoCapture(int(device) if device.isdigit() else device)
         if capture.isOpened():
             return capture
