@@ -33,7 +33,7 @@ class ChannelSettings:
     """Of the channel's root mean square: what is much weaker than this is noise and stays small."""
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def transpose(source, out):
     """out = source transposed, both square, in blocks that stay in the cache."""
     n = source.shape[0]
@@ -44,7 +44,7 @@ def transpose(source, out):
                     out[x, y] = source[y, x]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def difference_down(source, out):
     """Central difference down the rows (twice it), the border repeated."""
     n = source.shape[0]
@@ -54,7 +54,7 @@ def difference_down(source, out):
             out[y, x] = below[x] - above[x]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def smooth_down(source, pole, out):
     """First-order real pole down the rows, then up again."""
     n = source.shape[0]
@@ -68,7 +68,7 @@ def smooth_down(source, pole, out):
             out[y, x] += pole * (out[y + 1, x] - out[y, x])
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def transform_down(source, pole_re, pole_im, state, re, im):
     """sum_u u p^u d[y + u], looking down, plus the conjugate of the same looking up. `state`: scratch, (4, cells).
 
@@ -97,7 +97,7 @@ def transform_down(source, pole_re, pole_im, state, re, im):
                     im[y, x] -= s_im
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def keep_phase(re, im, floor, out, turned):
     """out[..., 0] + j out[..., 1] = c / (|c| + floor * rms of |c|); `turned`: rows and columns change places."""
     n = re.shape[0]
@@ -123,7 +123,7 @@ def keep_phase(re, im, floor, out, turned):
                 out[y, x, 1] = im[y, x]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def phase_channels(patch, pole_re, pole_im, across, floor, out):
     """The channels of a square patch into `out`, float32 (2 scales, cells, cells, 2): those read down the rows, one per
     scale, then those read along the rows."""
@@ -143,7 +143,7 @@ def phase_channels(patch, pole_re, pole_im, across, floor, out):
             keep_phase(re, im, floor, out[axis * scales + k], axis == 1)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def light_channel(patch, likelihood, weight, out):
     """The light, less its mean and by its spread, and weight * likelihood of every cell's grey level, into
     (cells, cells, 2). `likelihood`: -1..1 for evenly spaced grey levels, read with linear interpolation."""
@@ -165,21 +165,30 @@ def light_channel(patch, likelihood, weight, out):
             out[y, x, 1] = weight * (likelihood[lower] + part * (likelihood[lower + 1] - likelihood[lower]))
 
 
-@njit(cache=True, fastmath=True)
-def count_levels(patch, inner, outer, inside, outside):
-    """Histograms of grey levels: `inside` the box `inner`, `outside` the box `outer`; boxes are first row, past-last
-    row, first column, past-last column."""
+@njit(cache=True, fastmath=True, error_model="numpy")
+def learn_light(patch, inner, outer, rate, inside, outside, likelihood):
+    """Take `rate` of the histograms of grey levels in the box `inner` and beyond the box `outer`, and say how likely a
+    level is the target's, -1..1. Boxes: first row, past-last row, first column, past-last column."""
     n, bins = patch.shape[0], len(inside)
-    step = np.float32(bins / 256.0)
-    inside[:] = 0
-    outside[:] = 0
+    step, one = np.float32(bins / 256.0), np.float32(1.0)
+    counts = np.zeros((2, bins), np.float32)
     for y in range(n):
         for x in range(n):
-            level = min(max(int(patch[y, x] * step), 0), bins - 1)
+            level = min(int(patch[y, x] * step), bins - 1)
             if inner[0] <= y and y < inner[1] and inner[2] <= x and x < inner[3]:
-                inside[level] += np.float32(1.0)
+                counts[0, level] += one
             elif not (outer[0] <= y and y < outer[1] and outer[2] <= x and x < outer[3]):
-                outside[level] += np.float32(1.0)
+                counts[1, level] += one
+    for side in range(2):
+        kept, total = (inside, inside.size) if side == 0 else (outside, outside.size)
+        found = max(counts[side].sum(), one)
+        for i in range(total):
+            smooth = (counts[side, max(i - 1, 0)] + 2 * counts[side, i] + counts[side, min(i + 1, bins - 1)]) / (
+                4 * found
+            )
+            kept[i] += rate * (np.float32(smooth) - kept[i])
+    for i in range(bins):
+        likelihood[i] = 2 * inside[i] / (inside[i] + outside[i] + np.float32(1e-3)) - one
 
 
 class ChannelReader:

@@ -10,6 +10,7 @@ the rest of the way through a phase ramp of its spectrum. Spectra are float32 wi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -35,11 +36,14 @@ class Peak:
 
     height: float
     """1 for the patch that was learned, had nothing else been learned since."""
+    sharpness: float
+    """By how many standard deviations of all answers it stands out of them. Pictures that do not show what was learned
+    stay below 6, whatever their contrast."""
     rows: float
     columns: float
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def windowed(channels, window, out):
     """out = channels times window, for every channel."""
     count, rows, columns, _ = channels.shape
@@ -50,7 +54,7 @@ def windowed(channels, window, out):
                 out[c, y, x, 1] = channels[c, y, x, 1] * window[y, x]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def cut_out(channels, down, right, mask, out):
     """out = mask times the channels moved so that the cell (down, right) from the middle comes to the middle."""
     count, rows, columns, _ = channels.shape
@@ -69,7 +73,7 @@ def cut_out(channels, down, right, mask, out):
                     out[c, y, x, 0] = out[c, y, x, 1] = np.float32(0.0)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def respond(numerator, energy, least, spectrum, out):
     """out = sum over channels of conj(numerator) * spectrum, over energy + least: the answer's spectrum."""
     count, rows, columns, _ = spectrum.shape
@@ -88,11 +92,40 @@ def respond(numerator, energy, least, spectrum, out):
             out[y, x, 1] *= share
 
 
-@njit(cache=True, fastmath=True)
-def blend(rate, label, ramp_rows, ramp_columns, target, whole, numerator, energy):
-    """Take `rate` of the new target's spectrum (times conj(label), moved by the ramps) and of the whole's energy."""
+@njit(cache=True, fastmath=True, error_model="numpy")
+def highest(answer):
+    """Row and column of the highest real part, its height, mean and standard deviation of all."""
+    rows, columns, _ = answer.shape
+    best, best_row, best_column = answer[0, 0, 0], 0, 0
+    total, squares = 0.0, 0.0
+    for y in range(rows):
+        for x in range(columns):
+            value = answer[y, x, 0]
+            total += value
+            squares += value * value
+            if value > best:
+                best, best_row, best_column = value, y, x
+    mean = total / (rows * columns)
+    return best_row, best_column, best, mean, math.sqrt(max(squares / (rows * columns) - mean * mean, 1e-12))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def phase_ramp(size, rest):
+    """exp(2 pi j f rest) for the frequencies f of a transform of this size; float32 (size, 2)."""
+    out = np.empty((size, 2), np.float32)
+    for k in range(size):
+        turn = 2 * math.pi * ((k + size // 2) % size - size // 2) / size * rest
+        out[k, 0], out[k, 1] = math.cos(turn), math.sin(turn)
+    return out
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def blend(rate, label, rest_rows, rest_columns, target, whole, numerator, energy):
+    """Take `rate` of the new target's spectrum (times conj(label), moved back by the rest, in cells) and of the whole's
+    energy."""
     count, rows, columns, _ = target.shape
     keep = np.float32(1.0) - rate
+    ramp_rows, ramp_columns = phase_ramp(rows, rest_rows), phase_ramp(columns, rest_columns)
     for y in range(rows):
         for x in range(columns):
             r_re = ramp_rows[y, 0] * ramp_columns[x, 0] - ramp_rows[y, 1] * ramp_columns[x, 1]
@@ -119,7 +152,6 @@ class CorrelationFilter:
         label = np.exp(-(distance[0][:, None] ** 2 + distance[1][None] ** 2) / (2 * settings.label_cells**2))
         spectrum = np.fft.fft2(label)
         self._label = np.stack([spectrum.real, spectrum.imag], -1).astype(np.float32)
-        self._frequencies = [2 * np.pi * np.fft.fftfreq(n) for n in (rows, columns)]
         self._answer = np.empty((rows, columns, 2), np.float32)
         self._whole: np.ndarray | None = None
 
@@ -128,19 +160,20 @@ class CorrelationFilter:
         self._numerator = np.zeros_like(channels)
         self._energy = np.zeros(self._shape, np.float32)
         self._whole = self._transformed(channels)
-        self._take(np.float32(1.0), channels, mask, Peak(height=1.0, rows=0.0, columns=0.0))
+        self._take(np.float32(1.0), channels, mask, Peak(height=1.0, sharpness=math.inf, rows=0.0, columns=0.0))
         self._least = np.float32(self._settings.regularisation * self._energy.max() + 1e-6)
 
     def find(self, channels: np.ndarray) -> Peak:
         """Where it is in this patch."""
         self._whole = self._transformed(channels)
         respond(self._numerator, self._energy, self._least, self._whole, self._answer)
-        answer = cv2.dft(self._answer, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)[..., 0]
-        row, column = divmod(int(answer.argmax()), self._shape[1])
+        answer = cv2.dft(self._answer, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
+        row, column, height, mean, spread = highest(answer)
         return Peak(
-            height=float(answer[row, column]),
-            rows=_between(answer[:, column], row),
-            columns=_between(answer[row], column),
+            height=float(height),
+            sharpness=(height - mean) / spread,
+            rows=_between(answer[:, column, 0], row),
+            columns=_between(answer[row, :, 0], column),
         )
 
     def adapt(self, channels: np.ndarray, peak: Peak, mask: np.ndarray | None = None) -> None:
@@ -155,11 +188,8 @@ class CorrelationFilter:
             cut = np.empty_like(channels)
             cut_out(channels, down, right, mask, cut)
             target = _transformed(cut)
-        ramps = [
-            np.stack([np.cos(f * rest), np.sin(f * rest)], -1).astype(np.float32)
-            for f, rest in zip(self._frequencies, (peak.rows - down, peak.columns - right), strict=True)
-        ]
-        blend(rate, self._label, *ramps, target, self._whole, self._numerator, self._energy)
+        rest = peak.rows - down, peak.columns - right
+        blend(rate, self._label, *rest, target, self._whole, self._numerator, self._energy)
 
     def _transformed(self, channels: np.ndarray) -> np.ndarray:
         out = np.empty_like(channels)

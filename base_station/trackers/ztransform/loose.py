@@ -7,6 +7,7 @@ the target is seen about as well as usual. See the README, section 7.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -14,8 +15,8 @@ import cv2
 import numpy as np
 from numba import njit
 
-from base_station.trackers.ztransform.channels import ChannelReader, ChannelSettings, count_levels
-from base_station.trackers.ztransform.correlation import CorrelationFilter, FilterSettings, Peak
+from base_station.trackers.ztransform.channels import ChannelReader, ChannelSettings, learn_light
+from base_station.trackers.ztransform.correlation import CorrelationFilter, FilterSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
 from base_station.trackers.ztransform.pyramid import Pyramid
 
@@ -54,7 +55,9 @@ class LooseSettings:
     """Radius of the innermost ring, against the outermost."""
     polar_rise: float = 0.7
     """Where between the innermost and the outermost ring the window is highest: near the outline."""
-    zoom: FilterSettings = field(default_factory=lambda: FilterSettings(label_cells=1.0, regularisation=1e-2, rate=0.06))
+    zoom: FilterSettings = field(
+        default_factory=lambda: FilterSettings(label_cells=1.0, regularisation=1e-2, rate=0.06)
+    )
     """How large it is."""
     polar_channels: ChannelSettings = field(default_factory=lambda: ChannelSettings(rates=(0.4, 1.0)))
     """Read from the log-polar patch."""
@@ -66,25 +69,19 @@ class LooseSettings:
     """Largest change of the logarithm of the size at once."""
     zoom_range: float = 5.0
     """Against the learned size, either way."""
-    usual_rate: float = 0.03
-    """Of the running mean of the answers."""
-    doubt: float = 0.65
-    """An answer below this share of the usual is looked into: the windows around are searched too."""
-    regained: float = 0.75
-    """Of the usual, and as much better than in the middle, must be the answer from a window around."""
-    least: float = 0.45
-    """An answer below this share of the usual is not the target."""
+    least_sharpness: float = 6.0
+    """An answer that stands out less is not the target's."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one look gave. `strength`: the answer against the usual, 1 is as usual."""
+    """What one look gave. `sharpness`: see `correlation.Peak`."""
 
     placement: np.ndarray
-    strength: float
+    sharpness: float
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def sample_polar(image, scale, placement, across, down, patch):
     """Bilinear reads at placement + (across width, down height), float32 tables as large as the patch; the frame's
     border repeats. `image`: the frame at 1 / scale of its size."""
@@ -106,7 +103,7 @@ def sample_polar(image, scale, placement, across, down, patch):
             patch[i, j] = above + (below - above) * part_y
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def weigh_mask(mask, light, down, right, share, likelihood_weight, out):
     """The mask, less where the light (channel with the likelihood as its imaginary part, moved) is the background's."""
     rows, columns = mask.shape
@@ -140,8 +137,7 @@ class LooseFollower:
 
     def start(self, pyramid: Pyramid, placement: np.ndarray) -> None:
         """Remember what is at this placement (see `kernels`; the keystone does not count)."""
-        self._learned, self._placement = placement.copy(), placement.copy()
-        self._usual, self._size_next = 0.0, True
+        self._learned, self._size_next = placement.copy(), True
         self._mask = self._target_mask(placement)
         self._sample(pyramid, placement)
         self._count(1.0, 0, 0)
@@ -150,18 +146,15 @@ class LooseFollower:
         self._zoom.learn(self._read_polar(pyramid, placement))
 
     def look(self, pyramid: Pyramid, start: np.ndarray) -> Sighting:
-        """Where it is, looked for around `start`; takes its size from what was seen last."""
-        s, around = self._settings, start.copy()
-        around[[WIDTH, HEIGHT]] = self._placement[[WIDTH, HEIGHT]]
-        self._find(pyramid, around)
-        if self._usual and self._peak.height < s.doubt * self._usual:
-            self._look_around(pyramid, around)
-        placement = self._window_at.copy()
-        cell = self._side(placement) / s.cells
-        placement[X] = min(max(placement[X] + self._peak.columns * cell, 0.0), pyramid.image.shape[1] - 1.0)
-        placement[Y] = min(max(placement[Y] + self._peak.rows * cell, 0.0), pyramid.image.shape[0] - 1.0)
+        """Where it is, looked for around `start`, with the size at `start`."""
+        self._sample(pyramid, start)
+        self._read_last = self._read()
+        self._peak = peak = self._position.find(self._read_last)
+        placement, cell = start.copy(), self._side(start) / self._settings.cells
+        placement[X] = min(max(placement[X] + peak.columns * cell, 0.0), pyramid.image.shape[1] - 1.0)
+        placement[Y] = min(max(placement[Y] + peak.rows * cell, 0.0), pyramid.image.shape[0] - 1.0)
         self._found = placement
-        return Sighting(placement, self._peak.height / self._usual if self._usual else 1.0)
+        return Sighting(placement, peak.sharpness)
 
     def adapt(self, pyramid: Pyramid) -> np.ndarray:
         """Believe the last look: learn from it, and give the placement with the size.
@@ -176,8 +169,6 @@ class LooseFollower:
             self._position.adapt(self._read_last, peak, self._weighed(self._read_last, down, right))
             self._count(self._settings.histogram_rate, down, right)
         self._size_next = not self._size_next
-        self._usual += (peak.height - self._usual) * (self._settings.usual_rate if self._usual else 1.0)
-        self._placement = self._found
         return self._found
 
     def _measure_size(self, pyramid: Pyramid, placement: np.ndarray) -> None:
@@ -185,34 +176,12 @@ class LooseFollower:
         s, polar = self._settings, self._read_polar(pyramid, placement)
         growth = self._zoom.find(polar)
         # Turning moves the columns; the size alone is wanted, and learned as if the target had not turned.
-        self._zoom.adapt(polar, Peak(height=growth.height, rows=growth.rows, columns=0.0))
+        self._zoom.adapt(polar, dataclasses.replace(growth, columns=0.0))
         if growth.height > s.zoom_least:
             step = s.zoom_damping * growth.rows * self._log_ring
             wanted = math.log(placement[WIDTH] / self._learned[WIDTH]) + min(max(step, -s.zoom_step), s.zoom_step)
             zoom = math.exp(min(max(wanted, -math.log(s.zoom_range)), math.log(s.zoom_range)))
             placement[[WIDTH, HEIGHT]] = zoom * self._learned[[WIDTH, HEIGHT]]
-
-    def _look_around(self, pyramid: Pyramid, around: np.ndarray) -> None:
-        """Something jumped: the eight windows around, half a window away; the best of them if it is good enough."""
-        s, middle = self._settings, (self._peak, self._read_last, self._patch.copy(), self._window_at)
-        best = None
-        reach = self._side(around) / 2
-        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-            aside = around.copy()
-            aside[X] += dx * reach
-            aside[Y] += dy * reach
-            if 0 <= aside[X] < pyramid.image.shape[1] and 0 <= aside[Y] < pyramid.image.shape[0]:
-                self._find(pyramid, aside)
-                if best is None or self._peak.height > best[0].height:
-                    best = (self._peak, self._read_last, self._patch.copy(), self._window_at)
-        good = best is not None and best[0].height > max(s.regained * self._usual, middle[0].height / s.regained)
-        self._peak, self._read_last, self._patch, self._window_at = best if good and best is not None else middle
-
-    def _find(self, pyramid: Pyramid, window_at: np.ndarray) -> None:
-        self._window_at = window_at
-        self._sample(pyramid, window_at)
-        self._read_last = self._read()
-        self._peak = self._position.find(self._read_last)
 
     def _side(self, placement: np.ndarray) -> float:
         return self._settings.window * math.sqrt(placement[WIDTH] * placement[HEIGHT])
@@ -240,26 +209,20 @@ class LooseFollower:
 
     def _weighed(self, read: np.ndarray, down: int, right: int) -> np.ndarray:
         s, out = self._settings, np.empty_like(self._mask)
-        weigh_mask(
-            self._mask, read[-1], down, right, np.float32(s.by_likelihood), np.float32(s.likelihood_weight), out
-        )
+        weigh_mask(self._mask, read[-1], down, right, np.float32(s.by_likelihood), np.float32(s.likelihood_weight), out)
         return out
 
     def _count(self, rate: float, down: int, right: int) -> None:
         """Take the histograms of target and background in the patch sampled last; the target is (down, right) off."""
-        s, inside, outside = self._settings, np.empty_like(self._inside), np.empty_like(self._outside)
-        count_levels(self._patch, self._box(0.8, down, right), self._box(1.2, down, right), inside, outside)
-        for kept, new in ((self._inside, inside), (self._outside, outside)):
-            smooth = np.convolve(new, (0.25, 0.5, 0.25), "same").astype(np.float32)
-            kept += np.float32(rate) * (smooth / max(float(smooth.sum()), 1.0) - kept)
-        self._likelihood = (2 * self._inside / (self._inside + self._outside + np.float32(1e-3)) - 1).astype(np.float32)
+        inner, outer = self._box(0.8, down, right), self._box(1.2, down, right)
+        learn_light(self._patch, inner, outer, np.float32(rate), self._inside, self._outside, self._likelihood)
 
     def _box(self, part: float, down: int, right: int) -> np.ndarray:
         """First row, past-last row, first column, past-last column of this part of the target in the window."""
         half, cell = self._settings.cells / 2, self._side(self._learned) / self._settings.cells
         reach_y, reach_x = (part / 2 * self._learned[side] / cell for side in (HEIGHT, WIDTH))
-        rows, columns = (half - reach_y + down, half + reach_y + down), (half - reach_x + right, half + reach_x + right)
-        return np.round([*rows, *columns]).astype(np.int64)
+        rows, columns = (round(half - reach_y), round(half + reach_y)), (round(half - reach_x), round(half + reach_x))
+        return np.array([rows[0] + down, rows[1] + down, columns[0] + right, columns[1] + right])
 
     def _target_mask(self, placement: np.ndarray) -> np.ndarray:
         s, side = self._settings, self._side(placement)
@@ -274,5 +237,8 @@ class LooseFollower:
 def _polar_window(s: LooseSettings) -> np.ndarray:
     """Rises along the rings to near the outline and falls beyond it; the rays go all around and need no window."""
     t = (np.arange(s.polar_cells) + 0.5) / s.polar_cells
-    rise, fall = np.sin(np.pi / 2 * t / s.polar_rise) ** 2, np.cos(np.pi / 2 * (t - s.polar_rise) / (1 - s.polar_rise)) ** 2
+    rise, fall = (
+        np.sin(np.pi / 2 * t / s.polar_rise) ** 2,
+        np.cos(np.pi / 2 * (t - s.polar_rise) / (1 - s.polar_rise)) ** 2,
+    )
     return np.repeat(np.where(t < s.polar_rise, rise, fall)[:, None], s.polar_cells, 1)
