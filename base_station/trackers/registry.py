@@ -33,9 +33,51 @@ def _phase() -> Tracker:
     return PhaseTracker()
 
 
+def _phase_row() -> Tracker:
+    from base_station.trackers.baselines.phase_row import PhaseRowTracker
+
+    return PhaseRowTracker()
+
+
+def _ncc() -> Tracker:
+    from base_station.trackers.baselines.ncc import NccTracker
+
+    return NccTracker()
+
+
+def _ratslam() -> Tracker:
+    from base_station.trackers.baselines.ratslam import RatSlamTracker
+
+    return RatSlamTracker()
+
+
+def _klt() -> Tracker:
+    from base_station.trackers.baselines.klt import KltTracker
+
+    return KltTracker()
+
+
+def _ecc() -> Tracker:
+    from base_station.trackers.baselines.ecc import EccTracker
+
+    return EccTracker()
+
+
+def _orb() -> Tracker:
+    from base_station.trackers.baselines.orb import OrbTracker
+
+    return OrbTracker()
+
+
 _LOADERS: dict[str, Callable[[], Tracker]] = {
     "ztransform": _ztransform,
     "phase": _phase,
+    "phase-row": _phase_row,
+    "ncc": _ncc,
+    "ratslam": _ratslam,
+    "klt": _klt,
+    "ecc": _ecc,
+    "orb": _orb,
 }
 
 
