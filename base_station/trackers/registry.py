@@ -27,6 +27,18 @@ def _ztransform() -> Tracker:
     return ZTransformTracker()
 
 
+def _z_shift() -> Tracker:
+    from base_station.trackers.ztransform.thesis.z_shift import ZShiftTracker
+
+    return ZShiftTracker()
+
+
+def _z_regions() -> Tracker:
+    from base_station.trackers.ztransform.thesis.z_regions import ZRegionsTracker
+
+    return ZRegionsTracker()
+
+
 def _phase() -> Tracker:
     from base_station.trackers.baselines.phase import PhaseTracker
 
@@ -71,6 +83,8 @@ def _orb() -> Tracker:
 
 _LOADERS: dict[str, Callable[[], Tracker]] = {
     "ztransform": _ztransform,
+    "z-shift": _z_shift,
+    "z-regions": _z_regions,
     "phase": _phase,
     "phase-row": _phase_row,
     "ncc": _ncc,
