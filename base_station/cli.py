@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import logging
+import math
 import queue
 import signal
 import sys
@@ -21,6 +23,7 @@ from rich.logging import RichHandler
 from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
+from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
 from base_station.discovery import find_robots
 from base_station.display import StatusLine, summary_table
@@ -28,9 +31,11 @@ from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.evaluation.picture import RunPicture
+from base_station.geometry import PinholeCamera
 from base_station.link import Link, LinkSettings
 from base_station.results import ResultsFile
-from base_station.station import Station, StationSettings, Step
+from base_station.scale import Scale, scale_from_distance, scale_from_width
+from base_station.station import ScaleMaker, Station, StationSettings, Step
 from base_station.terminal import pressed_keys
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracker_names
@@ -48,12 +53,19 @@ class Run:
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
     """ztransform, phase, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
-    """follow, idle, pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
+    """follow, goto (back to where the target was learned), idle, pattern (listing A.2's drive) or teleop (w a s d or
+    arrow keys)."""
     pan: bool = False
     """follow: turn the camera on its pan-tilt after the target, and the body after the camera."""
     target: str | None = None
     """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
     view."""
+    until_there: bool = False
+    """With behaviour goto: end when it is there, or has given up (exit code 1)."""
+    target_width_m: float | None = None
+    """How wide the target is; results then carry its distance."""
+    learned_distance_m: float | None = None
+    """How far away the target was when it was learned; the same."""
     shadow: str | None = None
     """A second tracker on the same frames; the first one steers."""
     host: str = "127.0.0.1"
@@ -179,6 +191,21 @@ def _tracker(name: str) -> Tracker:
         raise StationError(str(error), usage=True) from error
 
 
+def _scale_maker(run: Run) -> ScaleMaker | None:
+    """How the scale follows from the options and what is learned."""
+    if run.learned_distance_m is not None:
+        return functools.partial(scale_from_distance, run.learned_distance_m)
+    if run.target_width_m is not None:
+        return functools.partial(_scale_from_width, run.target_width_m)
+    return None
+
+
+def _scale_from_width(width_m: float, box: Box | None, camera: PinholeCamera) -> Scale:
+    if box is None:
+        raise StationError("--target-width-m needs a target: the whole view has no width in metres.", usage=True)
+    return scale_from_width(width_m, box, camera)
+
+
 def _close(tracker: Tracker) -> None:
     try:
         tracker.close()
@@ -194,9 +221,16 @@ def _check(run: Run) -> None:
         raise StationError(str(error), usage=True) from error
     if run.pan and run.behaviour != "follow":
         raise StationError(f"--pan goes with --behaviour follow, not with {run.behaviour}.", usage=True)
-    for name, value in (("--duration", run.duration), ("--max-frames", run.max_frames)):
-        if value is not None and value <= 0:
+    for name, value in (
+        ("--duration", run.duration),
+        ("--max-frames", run.max_frames),
+        ("--target-width-m", run.target_width_m),
+        ("--learned-distance-m", run.learned_distance_m),
+    ):
+        if value is not None and not 0 < value < math.inf:
             raise StationError(f"{name} must be positive, not {value}.", usage=True)
+    if run.target_width_m is not None and run.learned_distance_m is not None:
+        raise StationError("Give --target-width-m or --learned-distance-m: one tells the other.", usage=True)
     for name, side in (("--width", run.width), ("--height", run.height)):
         if not 1 <= side <= 8192:
             raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
@@ -221,6 +255,8 @@ def _run(run: Run, console: Console) -> int:
         target=_parse_box(run.target) if run.target is not None else None,
         duration_s=run.duration,
         max_frames=run.max_frames,
+        until_there=run.until_there,
+        scale=_scale_maker(run),
     )
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow)
     with ExitStack() as stack:
@@ -254,7 +290,7 @@ def _run(run: Run, console: Console) -> int:
         _end_on_signals(station)
         _drive(station)
         log.wait_for_truth()
-    return _conclude(run, console, link, log, picture)
+    return _conclude(run, console, link, log, picture, station.outcome)
 
 
 def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:
@@ -329,7 +365,9 @@ def _drive(station: Station) -> None:
         ) from error
 
 
-def _conclude(run: Run, console: Console, link: Link, log: LoopLog, picture: RunPicture | None) -> int:
+def _conclude(
+    run: Run, console: Console, link: Link, log: LoopLog, picture: RunPicture | None, outcome: Outcome | None
+) -> int:
     hello = link.hello
     scenario = hello.scenario if hello is not None else None
     summary: Summary = log.summary(
@@ -346,6 +384,8 @@ def _conclude(run: Run, console: Console, link: Link, log: LoopLog, picture: Run
         raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
     if run.target is not None and not log.learned:
         raise StationError(f"The target {run.target} was never learned: it must lie in the picture and have texture.")
+    if run.until_there and (outcome is None or not outcome.there):
+        raise StationError(f"Not there: {outcome.text if outcome is not None else 'the run ended on the way'}.")
     return EXIT_DONE
 
 

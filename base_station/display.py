@@ -96,7 +96,7 @@ def short_name(tracker: str) -> str:
 
 
 def describe(result: TrackerResult) -> str:
-    """A result in a few words: bearing, zoom and confidence, or why there are none."""
+    """A result in a few words: bearing, zoom, what else is known, and confidence, or why there are none."""
     if result.state is not TrackingState.TRACKING:
         return f"- {result.reason}"
     parts = []
@@ -104,6 +104,10 @@ def describe(result: TrackerResult) -> str:
         parts.append(f"bearing {math.degrees(result.bearing_rad):+6.2f}°")
     if result.zoom is not None:
         parts.append(f"zoom {result.zoom:.3f}")
+    if result.view_angle_rad is not None:
+        parts.append(f"seen at {math.degrees(result.view_angle_rad):+5.1f}°")
+    if result.range_m is not None:
+        parts.append(f"range {result.range_m:.3f} m")
     parts.append(f"confidence {result.confidence:.2f}")
     return "  ".join(parts)
 
@@ -130,6 +134,10 @@ def summary_table(summary: Summary) -> Table:
         ("distance error, RMS", _percent(summary.distance_error_rel_rms), "{:.2f} %"),
         ("at the end: distance error", summary.final_distance_error_m, "{:.3f} m"),
         ("at the end: bearing error", summary.final_bearing_error_deg, "{:.2f}°"),
+        ("at the end: aside", summary.final_lateral_error_m, "{:.3f} m"),
+        ("at the end: heading error", summary.final_heading_error_deg, "{:.2f}°"),
+        ("view angle estimate error, RMS", summary.view_angle_estimate_error_deg_rms, "{:.2f}°"),
+        ("range estimate error, RMS", _percent(summary.range_estimate_error_rel_rms), "{:.2f} %"),
         ("settled after", summary.settled_s, "{:.1f} s"),
         ("LOST said after", summary.lost_said_after_s, "{:.2f} s"),
         ("because", summary.lost_reason, "{}"),

@@ -13,6 +13,7 @@ from base_station.station import Step
 COLUMNS = (
     "frame", "time_s", "state", "reason", "x", "y", "width", "height",
     "shift_px", "shift_y_px", "bearing_deg", "elevation_deg", "zoom", "confidence", "left", "right",
+    "view_angle_deg", "range_m",
     "shadow_state", "shadow_bearing_deg", "shadow_zoom", "shadow_confidence",
     "pan_deg",
 )  # fmt: skip
@@ -49,6 +50,8 @@ class ResultsFile:
                 *(_text(number) for number in numbers),
                 step.command.left,
                 step.command.right,
+                _text(_degrees(result.view_angle_rad)),
+                _text(result.range_m),
                 *seen_in_shadow,
                 _text(_degrees(step.pan_rad)),
             ]

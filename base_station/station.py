@@ -12,17 +12,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Behaviour, Drive
+from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome
 from base_station.behaviours.registry import BehaviourContext, make_behaviour
 from base_station.errors import StationError
+from base_station.geometry import PinholeCamera
 from base_station.head import Angles, PanHead
 from base_station.link import Link
+from base_station.scale import Scale
 from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
 log = logging.getLogger(__name__)
+
+ScaleMaker = Callable[[Box | None, PinholeCamera], Scale]
 
 WAIT_S = 0.1
 SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
@@ -64,6 +68,10 @@ class StationSettings:
     duration_s: float | None = None
     """End after this much of the frames' time; None: until told."""
     max_frames: int | None = None
+    until_there: bool = False
+    """End when the behaviour's journey is over (see `behaviours.base.Journey`)."""
+    scale: ScaleMaker | None = None
+    """From the box that is learned (None: the whole view) and the camera to the scale; results then carry metres."""
 
 
 class Station:
@@ -92,8 +100,15 @@ class Station:
         self._learn_asked = True
         self._learned = False
         self._learn_error = ""
+        self._scale: Scale | None = None
+        self._outcome: Outcome | None = None
         self._first_s: float | None = None
         self._frames = 0
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the behaviour's journey ended; None while it goes on, or when the behaviour is no journey."""
+        return self._outcome
 
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
@@ -156,6 +171,7 @@ class Station:
         command = self._command(behaviour, result, frame, angles)
         sent_s = self._link.send(command, frame.connection)
         self._link.show(self._sight(result), frame.connection)
+        self._note_outcome(behaviour)
         return Step(
             frame=frame,
             result=result,
@@ -181,6 +197,15 @@ class Station:
             return "idle"
         return SIGHT_OF.get(result.state, "idle")
 
+    def _note_outcome(self, behaviour: Behaviour) -> None:
+        """Say once how a journey ended, and end the run with it when that was asked for."""
+        outcome = behaviour.outcome if isinstance(behaviour, Journey) else None
+        if outcome is not None and outcome != self._outcome:
+            log.info("%s", outcome.text)
+        self._outcome = outcome
+        if outcome is not None and self.settings.until_there:
+            self._stopping = True
+
     def _count(self, frame: Frame) -> None:
         self._frames += 1
         if self._first_s is None:
@@ -197,7 +222,7 @@ class Station:
             self._let_go_of_head()
             if self.settings.pan:
                 self._head = self._take_head()
-            context = BehaviourContext(drive=Drive(limits), keys=self._keys, head=self._head)
+            context = BehaviourContext(drive=Drive(limits), keys=self._keys, camera=frame.camera, head=self._head)
             self._behaviour = make_behaviour(self.settings.behaviour, context)
         return self._behaviour
 
@@ -224,6 +249,8 @@ class Station:
             self._learn_error = str(error)
             return False
         self._learn_asked, self._learned, self._learn_error = False, True, ""
+        if self.settings.scale is not None:
+            self._scale = self.settings.scale(self._target, frame.camera)
         return True
 
     def _choose_target(self, frame: Frame) -> bool:
@@ -238,7 +265,8 @@ class Station:
     def _look(self, tracker: Tracker, frame: Frame) -> TrackerResult:
         if self._learn_error and not self._learned:
             return TrackerResult(state=TrackingState.INITIALIZING, reason=self._learn_error)
-        return _checked(tracker, tracker.update(frame))
+        result = _checked(tracker, tracker.update(frame))
+        return self._scale.measured(result) if self._scale is not None else result
 
     def _follow_in_shadow(self, frame: Frame, learned: bool) -> TrackerResult | None:
         if self._shadow is None:

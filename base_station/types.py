@@ -94,6 +94,12 @@ class TrackerResult:
     """The same in the vertical, upwards positive."""
     zoom: float | None = None
     """Apparent size against the learned one: > 1 is nearer. Depth along the optical axis is the learned one / zoom."""
+    view_angle_rad: float | None = None
+    """By how much the line of sight to the target has turned about the vertical since it was learned, seen from the
+    target; positive counter-clockwise from above, that is when the camera stands to the right of where it stood. The
+    camera's heading has turned by this less the change of bearing."""
+    range_m: float | None = None
+    """Distance from the camera to the target's centre. The station fills it in where it knows the scale."""
     confidence: float = 0.0
     """0..1."""
     box: Box | None = None
@@ -108,6 +114,8 @@ class TrackerResult:
             self.bearing_rad,
             self.elevation_rad,
             self.zoom,
+            self.view_angle_rad,
+            self.range_m,
             self.box,
             self.cam_from_world,
         )
@@ -115,7 +123,9 @@ class TrackerResult:
             raise ValueError(f"a result in state {self.state.value} carries a measurement")
         if self.state is not TrackingState.TRACKING and not self.reason:
             raise ValueError(f"a result in state {self.state.value} must give its reason")
-        for name in ("shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom"):
+        for name in (
+            "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m"
+        ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"a result's {name} is {value}")

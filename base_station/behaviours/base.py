@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from base_station.types import TrackerResult
 from protocol import Command, PanTiltLimits, RobotLimits
@@ -27,6 +27,25 @@ class Head(Protocol):
 
     def look(self, pan_rad: float) -> None:
         """Turn the camera there; returns at once, and the newest goal wins."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a journey ended."""
+
+    there: bool
+    text: str
+    """For a person."""
+
+
+@runtime_checkable
+class Journey(Behaviour, Protocol):
+    """A behaviour that comes to an end."""
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """None while it goes on. May become None again: the robot was carried away, the target moved."""
         ...
 
 

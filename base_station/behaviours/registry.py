@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 from base_station.behaviours.base import Behaviour, Drive, Head
 from base_station.behaviours.follow import Follow
+from base_station.behaviours.goto import Goto
 from base_station.behaviours.scripted import Idle, Pattern
 from base_station.behaviours.teleop import Teleop
+from base_station.geometry import PinholeCamera
 
 
 @dataclass(frozen=True)
@@ -19,12 +21,14 @@ class BehaviourContext:
 
     drive: Drive
     keys: queue.SimpleQueue[str]
+    camera: PinholeCamera
     head: Head | None = None
     """The camera's pan-tilt, when it is to be used."""
 
 
 BEHAVIOURS: dict[str, Callable[[BehaviourContext], Behaviour]] = {
     "follow": lambda context: Follow(context.drive, head=context.head),
+    "goto": lambda context: Goto(context.drive, context.camera),
     "idle": lambda context: Idle(),
     "pattern": lambda context: Pattern(),
     "teleop": lambda context: Teleop(context.drive, context.keys),

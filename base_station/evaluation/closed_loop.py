@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from base_station.evaluation import pose_errors
 from base_station.station import Step
 from base_station.types import TrackerResult, TrackingState
 from protocol import Telemetry, Truth
@@ -63,6 +64,12 @@ class Summary:
     distance_error_rel_rms: float | None
     final_distance_error_m: float | None
     final_bearing_error_deg: float | None
+    final_lateral_error_m: float | None
+    """Aside of where the target was learned, in the target's coordinates; None unless the target stands."""
+    final_heading_error_deg: float | None
+    view_angle_estimate_error_deg_rms: float | None
+    range_estimate_error_rel_rms: float | None
+    """Reported against true distance, where the scale is known."""
     settled_s: float | None
     """From learning (or from when the robot was set down) until within 1 cm and 0.5 degrees for good."""
     lost_said_after_s: float | None
@@ -207,6 +214,10 @@ class LoopLog:
             distance_error_rel_rms=_rms(_distance_errors(settled, learned_range_m)),
             final_distance_error_m=_mean_abs(_distance_errors(final, learned_range_m), learned_range_m),
             final_bearing_error_deg=_mean_abs(_true_bearings_deg(final)) if learned_range_m else None,
+            final_lateral_error_m=_mean_abs(_against(final, learned, pose_errors.lateral_error_m)),
+            final_heading_error_deg=_mean_abs(_against(final, learned, pose_errors.heading_error_rad), math.degrees(1)),
+            view_angle_estimate_error_deg_rms=_rms(_view_angle_errors_deg(settled, learned)),
+            range_estimate_error_rel_rms=_rms(_range_errors(settled)),
             settled_s=_settled_s(rows, learned_range_m),
             lost_said_after_s=said_s,
             lost_reason=reason,
@@ -287,6 +298,23 @@ def _distance_errors(rows: list[_Row], learned_range_m: float | None) -> list[fl
     if not learned_range_m:
         return []
     return [row.truth.range_m / learned_range_m - 1.0 for row in rows if row.truth.range_m is not None]
+
+
+def _against(rows: list[_Row], learned: Truth | None, error: Callable[[Truth, Truth], float | None]) -> list[float]:
+    errors = [error(row.truth, learned) for row in rows] if learned is not None else []
+    return [value for value in errors if value is not None]
+
+
+def _view_angle_errors_deg(rows: list[_Row], learned: Truth | None) -> list[float]:
+    if learned is None:
+        return []
+    pairs = [(row.seen.result.view_angle_rad, pose_errors.view_angle_rad(row.truth, learned)) for row in rows]
+    return [math.degrees(seen - true) for seen, true in pairs if seen is not None and true is not None]
+
+
+def _range_errors(rows: list[_Row]) -> list[float]:
+    pairs = [(row.seen.result.range_m, row.truth.range_m) for row in rows]
+    return [seen / true - 1 for seen, true in pairs if seen is not None and true]
 
 
 def _settled_s(rows: list[_Row], learned_range_m: float | None) -> float | None:

@@ -6,6 +6,7 @@ of the scenario's time, which starts when the operator appears. Nothing here kno
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -23,6 +24,7 @@ FOLLOW_DISTANCE_M = 0.40
 POSTER_GOAL_M, POSTER_START_M = 0.50, 1.00
 POSTER_HOLD_S = 2.0
 POSTER_TURN_RAD = math.radians(20.0)
+ARC_RAD = math.radians(20.0)
 PLAIN_ESCAPE_S = 20.0
 
 _POSTER_OFF_WALL_M = 0.004
@@ -83,6 +85,15 @@ def _poster(rng: np.random.Generator) -> Stage:
         set_down=wall.moved(ahead_m=-POSTER_START_M, turned_rad=turn_rad),
         picture=Picture(side_m=0.22, centre_height_m=0.12, wall_pose=wall),
     )
+
+
+def _arc(rng: np.random.Generator) -> Stage:
+    """As `poster`, but set down aside: on a circle about the picture, facing it."""
+    poster = _poster(rng)
+    assert poster.picture is not None and poster.picture.wall_pose is not None
+    arc_rad = ARC_RAD * float(rng.choice((-1.0, 1.0)))
+    sight = dataclasses.replace(poster.picture.wall_pose, heading_rad=poster.robot_start.heading_rad + arc_rad)
+    return dataclasses.replace(poster, set_down=sight.moved(ahead_m=-POSTER_START_M))
 
 
 def _leader(rng: np.random.Generator, light: Callable[[float], float] = courses.steady_light) -> Stage:
@@ -159,10 +170,12 @@ def _leader_picture() -> Picture:
 
 SCENARIOS: dict[str, Callable[[np.random.Generator], Stage]] = {
     "poster": _poster,
+    "arc": _arc,
     "leader": _leader,
     "lights": functools.partial(_leader, light=courses.changing_light),
     "plain": _plain,
     "turn": _turn,
 }
-"""poster: go back to a picture on the wall. leader: follow a robot. lights: the same while the light changes.
-plain: the same in a featureless room, until the leader escapes. turn: watch a place from a turntable."""
+"""poster: go back to a picture on the wall. arc: the same from aside. leader: follow a robot. lights: the same while
+the light changes. plain: the same in a featureless room, until the leader escapes. turn: watch a place from a
+turntable."""

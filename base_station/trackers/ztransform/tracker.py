@@ -20,6 +20,7 @@ from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.regression import RegressionSettings
 from base_station.trackers.ztransform.rigid import Look, RigidFollower, RigidSettings
 from base_station.trackers.ztransform.texture import texture_of
+from base_station.trackers.ztransform.viewing import view_angle_rad
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 
@@ -175,9 +176,10 @@ class ZTransformTracker:
         if look.confidence < self._settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if look.share >= 1 and not (self._is_proven and self._frames % self._settings.loose_every):
-            if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
-                self._loose.adapt(pyramid)
+        if look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+            return
+        if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
+            self._loose.adapt(pyramid)
 
     def _follow_loose(self, pyramid: Pyramid, time_s: float) -> Look | None:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
@@ -224,6 +226,7 @@ class ZTransformTracker:
             bearing_rad=frame.camera.bearing_rad(x),
             elevation_rad=frame.camera.elevation_rad(y),
             zoom=float(p[HEIGHT] / learned.placement[HEIGHT]),
+            view_angle_rad=None if learned.is_place else view_angle_rad(p, learned.placement, lens),
             confidence=min(max(look.confidence, 0.0), 1.0),
             box=outline(p, lens),
         )
