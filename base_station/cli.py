@@ -25,6 +25,7 @@ from tyro.conf import arg
 
 from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
+from base_station.discovery import find_robots
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
@@ -54,6 +55,8 @@ class Run:
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
     """follow, goto (back to where the target was learned), idle, pattern (listing A.2's drive) or teleop (w a s d or
     arrow keys)."""
+    pan: bool = False
+    """follow: turn the camera on its pan-tilt after the target, and the body after the camera."""
     target: str | None = None
     """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
     view."""
@@ -104,11 +107,19 @@ class Trackers:
     """List the trackers."""
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Robots:
+    """List the robots that announce themselves on this network."""
+
+    seconds: float = 2.0
+    """How long to listen."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers,
+            Run | Score | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -122,6 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(command, console)
         if isinstance(command, Score):
             return _score(command)
+        if isinstance(command, Robots):
+            return _robots(command)
         print("\n".join(tracker_names()))
         return EXIT_DONE
     except KeyboardInterrupt:
@@ -139,6 +152,25 @@ def _score(command: Score) -> int:
     if len(found) != len(truth):
         print(f"comparing the first {frames} frames ({len(found)} results, {len(truth)} true boxes)", file=sys.stderr)
     print(json.dumps(dataclasses.asdict(score_boxes(found[:frames], truth[:frames])), indent=2))
+    return EXIT_DONE
+
+
+def _robots(command: Robots) -> int:
+    if not 0.1 <= command.seconds <= 60:
+        raise StationError(f"--seconds must be 0.1..60, not {command.seconds:g}.", usage=True)
+    found = find_robots(command.seconds)
+    if not found:
+        raise StationError(
+            "No robot announces itself here. Is the agent started with --listen 0.0.0.0, is python3-zeroconf on "
+            "the robot, are both on the same network? Networks that keep multicast back are common: then use "
+            "base-station run --host ADDRESS (on the robot, hostname -I tells the address)."
+        )
+    rows = [("name", "address", "port", "robot", "camera", "state")]
+    rows += [(robot.name, robot.address, str(robot.port), robot.robot, robot.camera, robot.busy) for robot in found]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
+    print(f"\nbase-station run --host {found[0].address} --port {found[0].port}", file=sys.stderr)
     return EXIT_DONE
 
 
@@ -187,6 +219,8 @@ def _check(run: Run) -> None:
         check_behaviour(run.behaviour)
     except ValueError as error:
         raise StationError(str(error), usage=True) from error
+    if run.pan and run.behaviour != "follow":
+        raise StationError(f"--pan goes with --behaviour follow, not with {run.behaviour}.", usage=True)
     for name, value in (
         ("--duration", run.duration),
         ("--max-frames", run.max_frames),
@@ -217,6 +251,7 @@ def _run(run: Run, console: Console) -> int:
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     settings = StationSettings(
         behaviour=run.behaviour,
+        pan=run.pan,
         target=_parse_box(run.target) if run.target is not None else None,
         duration_s=run.duration,
         max_frames=run.max_frames,

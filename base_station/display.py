@@ -34,6 +34,7 @@ class StatusLine:
         self._drawn_s = float("-inf")
         self._result: TrackerResult | None = None
         self._shadow: TrackerResult | None = None
+        self._pan_rad: float | None = None
 
     def __enter__(self) -> StatusLine:
         if self._live is not None:
@@ -47,7 +48,7 @@ class StatusLine:
     def step(self, step: Step) -> None:
         """A frame was dealt with."""
         self._walls_s.append(time.monotonic())
-        self._result, self._shadow = step.result, step.shadow
+        self._result, self._shadow, self._pan_rad = step.result, step.shadow, step.pan_rad
         self._draw()
 
     def wait(self) -> None:
@@ -72,6 +73,8 @@ class StatusLine:
         else:
             line.append(f"{self._result.state.value} ", style=STYLES[self._result.state])
             line.append(describe(self._result), style="default")
+            if self._pan_rad is not None:
+                line.append(f"  pan {math.degrees(self._pan_rad):+6.1f}°", style="default")
             if self._shadow is not None:
                 line.append(f"  [shadow {self._shadow.state.value} {describe(self._shadow)}]", style="dim")
         line.append(f"  {self._rate_hz():.1f} Hz", style="default")
@@ -125,6 +128,7 @@ def summary_table(summary: Summary) -> Table:
         ("tracked while in view", _percent(summary.tracking_share), "{:.1f} %"),
         ("bearing error, RMS", summary.bearing_error_deg_rms, "{:.2f}°"),
         ("bearing estimate error, RMS", summary.bearing_estimate_error_deg_rms, "{:.2f}°"),
+        ("camera's bearing error, RMS", summary.camera_error_deg_rms, "{:.2f}°"),
         ("shadow: tracked while in view", _percent(summary.shadow_tracking_share), "{:.1f} %"),
         ("shadow: bearing estimate error, RMS", summary.shadow_bearing_estimate_error_deg_rms, "{:.2f}°"),
         ("distance error, RMS", _percent(summary.distance_error_rel_rms), "{:.2f} %"),

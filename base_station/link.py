@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import zmq
 
+from base_station.announcer import Announcer
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
 from base_station.geometry import PinholeCamera
-from base_station.sockets import Control, LinkLost, RawConnection, TelemetryFeed, UnknownHost
+from base_station.head import Angles, HeadAngles
+from base_station.sockets import Control, ControlLine, LinkLost, RawConnection, TelemetryFeed, UnknownHost
 from base_station.types import Frame
 from protocol import (
     FRAME_PORT,
@@ -84,9 +86,11 @@ class Link:
         self._on_telemetry = on_telemetry
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._control = Control(self._context, self.settings.host, self.settings.port + 3)
+        self._announcer: Announcer | None = None
         self._feed: TelemetryFeed | None = None
         self._session: _Session | None = None
         self._clock = FrameClock()
+        self._angles = HeadAngles()
         self._fresh = threading.Condition()
         self._newest: tuple[_Session, int, bytearray, float] | None = None
         self._failure: StationError | None = None
@@ -100,6 +104,8 @@ class Link:
     def __exit__(self, *_: object) -> None:
         self._closing.set()
         self._thread.join()
+        if self._announcer is not None:
+            self._announcer.close()
         if self._feed is not None:
             self._feed.close()
         self._context.destroy(linger=0)
@@ -146,6 +152,23 @@ class Link:
     def ask(self, request: Request) -> Reply | None:
         """Ask the agent on its control port. None when nobody listens there. Raises LinkLost, ProtocolError."""
         return self._control.ask(request)
+
+    def control_line(self) -> ControlLine:
+        """A connection to the control port of one's own, so that an emergency stop never queues behind what is asked
+        there. Close it before the link ends."""
+        return ControlLine(self._context, self.settings.host, self.settings.port + 3)
+
+    def camera_angles(self, frame: Frame) -> Angles | None:
+        """Pan and tilt of the camera when the frame was taken; None when it is fixed, or nothing is known."""
+        return self._angles.of((frame.connection, frame.number))
+
+    def show(self, sight: str, connection: str) -> None:
+        """Let the robot's lights, where it has any, tell what is seen (one of SIGHTS). Returns at once."""
+        if self.hello is None or "show" not in self.hello.capabilities:
+            return
+        if self._announcer is None:
+            self._announcer = Announcer(self.control_line())
+        self._announcer.say(sight, connection)
 
     @property
     def connected(self) -> bool:
@@ -262,6 +285,7 @@ class Link:
         self.telemetry = telemetry
         stamp = telemetry.frame
         if stamp is not None and telemetry.station is not None:
+            self._angles.note(telemetry.station, stamp)  # first: in lockstep the loop waits for the time only
             self._clock.note((telemetry.station, stamp.number), stamp.capture_s)
         self.ended = self.ended or telemetry.ended
         if self._on_telemetry is not None:

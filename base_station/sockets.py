@@ -145,18 +145,8 @@ class Control:
             if not self.listens():
                 return None
             with self._context.socket(zmq.REQ) as asking:  # a new one each time: REQ is stuck after a lost reply
-                asking.linger = 0
-                asking.maxmsgsize = MAX_MESSAGE_BYTES
-                asking.connect(f"tcp://{self._host}:{self._port}")
-                silent = f"{self._host}:{self._port} gives no answer (does the agent's --allow let this station in?)"
-                asking.sndtimeo = int(timeout_s * 1000)
-                try:
-                    asking.send(encode(request))
-                except zmq.Again as error:  # a station that is refused has nobody to send to
-                    raise LinkLost(silent) from error
-                if not asking.poll(int(timeout_s * 1000)):
-                    raise LinkLost(silent)
-                return decode_reply(asking.recv())
+                _prepare(asking, self._host, self._port)
+                return _exchange(asking, request, timeout_s, f"{self._host}:{self._port}")
 
     def listens(self) -> bool:
         """Whether anything listens there: a plain thesis peer does not, and need not be waited for."""
@@ -165,6 +155,48 @@ class Control:
         except LinkLost:
             return False
         return True
+
+
+class ControlLine:
+    """A connection to the control port that stays open, for requests that come as often as frames. From one thread."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], host: str, port: int) -> None:
+        self._context, self._host, self._port = context, host, port
+        self._socket: zmq.Socket[bytes] | None = None
+
+    def ask(self, request: Request, timeout_s: float = 0.5) -> Reply:
+        """The agent's reply. Raises LinkLost when none comes, ProtocolError when it makes no sense."""
+        if self._socket is None:
+            self._socket = self._context.socket(zmq.REQ)
+            _prepare(self._socket, self._host, self._port)
+        try:
+            return _exchange(self._socket, request, timeout_s, f"{self._host}:{self._port}")
+        except LinkLost:
+            self.close()  # REQ is stuck after a lost reply
+            raise
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def _prepare(asking: zmq.Socket[bytes], host: str, port: int) -> None:
+    asking.linger = 0
+    asking.maxmsgsize = MAX_MESSAGE_BYTES
+    asking.connect(f"tcp://{host}:{port}")
+
+
+def _exchange(asking: zmq.Socket[bytes], request: Request, timeout_s: float, where: str) -> Reply:
+    silent = f"{where} gives no answer (does the agent's --allow let this station in?)"
+    asking.sndtimeo = int(timeout_s * 1000)
+    try:
+        asking.send(encode(request))
+    except zmq.Again as error:  # a station that is refused has nobody to send to
+        raise LinkLost(silent) from error
+    if not asking.poll(int(timeout_s * 1000)):
+        raise LinkLost(silent)
+    return decode_reply(asking.recv())
 
 
 class TelemetryFeed:

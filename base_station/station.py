@@ -16,6 +16,7 @@ from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome
 from base_station.behaviours.registry import BehaviourContext, make_behaviour
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
+from base_station.head import Angles, PanHead
 from base_station.link import Link
 from base_station.scale import Scale
 from base_station.sockets import LinkLost
@@ -28,7 +29,15 @@ log = logging.getLogger(__name__)
 ScaleMaker = Callable[[Box | None, PinholeCamera], Scale]
 
 WAIT_S = 0.1
+SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
+"""What the lights are told (one of the protocol's SIGHTS)."""
 PATIENCE_S = 10.0
+LOCKSTEP_LOOK_S = 0.5
+"""In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
+NO_PAN_TILT = (
+    "This robot's camera cannot be turned: leave out --pan, or start its agent with --pan-tilt servoblaster "
+    "(--pan-tilt sim for the simulated robot)."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +48,8 @@ class Step:
     result: TrackerResult
     shadow: TrackerResult | None
     command: Command
+    pan_rad: float | None = None
+    """Where the camera looked, left of the robot's heading, as far as the robot knows; None when it is fixed."""
     learned: bool
     """The target was learned in this frame."""
     tracker_s: float
@@ -50,6 +61,8 @@ class Step:
 @dataclass(frozen=True, kw_only=True)
 class StationSettings:
     behaviour: str = "follow"
+    pan: bool = False
+    """The behaviour may turn the camera."""
     target: Box | None = None
     """Learned in the first frame; None: what the simulated operator says, else the whole view."""
     duration_s: float | None = None
@@ -80,6 +93,7 @@ class Station:
         self._keys = keys or queue.SimpleQueue()
         self._on_step, self._on_wait = on_step, on_wait
         self._behaviour: Behaviour | None = None
+        self._head: PanHead | None = None
         self._connection = ""
         self._stopping = False
         self._target = self.settings.target
@@ -131,6 +145,7 @@ class Station:
                     self._wait(time.monotonic() - last_frame_s)
         finally:
             self._link.send(STOP)
+            self._let_go_of_head()
 
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
@@ -152,18 +167,35 @@ class Station:
         begun_s = time.perf_counter()
         result = self._look(self._tracker, frame)
         tracker_s = time.perf_counter() - begun_s
-        command = behaviour.command(result if self._learned else None, frame.time_s)
+        angles = self._link.camera_angles(frame)
+        command = self._command(behaviour, result, frame, angles)
         sent_s = self._link.send(command, frame.connection)
+        self._link.show(self._sight(result), frame.connection)
         self._note_outcome(behaviour)
         return Step(
             frame=frame,
             result=result,
             shadow=self._follow_in_shadow(frame, learned),
             command=command,
+            pan_rad=angles[0] if angles is not None else None,
             learned=learned,
             tracker_s=tracker_s,
             frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
         )
+
+    def _command(self, behaviour: Behaviour, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
+        if self._head is not None and angles is not None:
+            self._head.pan_rad = angles[0]
+        command = behaviour.command(result if self._learned else None, frame.time_s)
+        if self._head is not None and self._link.hello is not None and self._link.hello.rhythm == "lockstep":
+            self._head.settle(LOCKSTEP_LOOK_S)
+        return command
+
+    def _sight(self, result: TrackerResult) -> str:
+        """What the robot's lights are to tell; a station that does not follow is idle whatever its tracker sees."""
+        if self.settings.behaviour != "follow":
+            return "idle"
+        return SIGHT_OF.get(result.state, "idle")
 
     def _note_outcome(self, behaviour: Behaviour) -> None:
         """Say once how a journey ended, and end the run with it when that was asked for."""
@@ -187,10 +219,23 @@ class Station:
         if self._behaviour is None or frame.connection != self._connection:
             self._connection = frame.connection
             limits = self._link.hello.limits if self._link.hello is not None else RobotLimits()
-            self._behaviour = make_behaviour(
-                self.settings.behaviour, BehaviourContext(drive=Drive(limits), keys=self._keys, camera=frame.camera)
-            )
+            self._let_go_of_head()
+            if self.settings.pan:
+                self._head = self._take_head()
+            context = BehaviourContext(drive=Drive(limits), keys=self._keys, camera=frame.camera, head=self._head)
+            self._behaviour = make_behaviour(self.settings.behaviour, context)
         return self._behaviour
+
+    def _take_head(self) -> PanHead:
+        hello = self._link.hello
+        if hello is None or hello.pan_tilt is None:
+            raise StationError(NO_PAN_TILT, usage=True)
+        return PanHead(hello.pan_tilt, self._link.control_line())
+
+    def _let_go_of_head(self) -> None:
+        if self._head is not None:
+            self._head.close()
+            self._head = None
 
     def _learn(self, tracker: Tracker, frame: Frame) -> bool:
         """Learn when it is asked for; a view that cannot be learned (a camera that is still dark) is tried again."""

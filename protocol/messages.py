@@ -7,6 +7,7 @@ agent's monotonic clock unless a name says otherwise.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from protocol.errors import ProtocolError
@@ -17,7 +18,12 @@ PROTOCOL_VERSION = 1
 FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31443
 """The default ports. An agent on other ones keeps the order: base, base + 1, base + 2, base + 3."""
 
-ACTIONS = ("hello", "stop", "release", "exposure")
+SERVICE_TYPE = "_zservo._tcp.local."
+"""Under this an agent may announce itself (DNS-SD); the port is the first of the four."""
+
+ACTIONS = ("hello", "stop", "release", "exposure", "look", "show")
+SIGHTS = ("tracking", "lost", "idle")
+"""What a station may see, for the robot's lights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +72,28 @@ class RobotLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PanTiltLimits:
+    """How far and how fast a camera on a pan-tilt turns. `pan_rad`: rightmost (negative) and leftmost, 0 is straight
+    ahead; `tilt_rad`: lowest (negative) and highest, 0 is level; `slew_rad_s`: both axes' speed."""
+
+    pan_rad: tuple[float, float]
+    tilt_rad: tuple[float, float]
+    slew_rad_s: float
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in (("pan_rad", self.pan_rad), ("tilt_rad", self.tilt_rad)):
+            if not -math.pi <= low <= 0 <= high <= math.pi:
+                raise ProtocolError(f"{name}: {low}..{high} do not enclose 0 within half a turn to either side")
+        if not 0 < self.slew_rad_s < math.inf:
+            raise ProtocolError(f"slew_rad_s must be positive, not {self.slew_rad_s}")
+
+    def clamped(self, pan_rad: float, tilt_rad: float) -> tuple[float, float]:
+        """The nearest angles within the limits."""
+        (right, left), (low, high) = self.pan_rad, self.tilt_rad
+        return max(right, min(left, pan_rad)), max(low, min(high, tilt_rad))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Hello:
     """The agent's answer to hello."""
 
@@ -88,6 +116,8 @@ class Hello:
     """Address of the station that is connected, None when the robot is free."""
     monotonic_s: float = 0.0
     scenario: Scenario | None = None
+    pan_tilt: PanTiltLimits | None = None
+    """Of the camera's pan-tilt; None when the camera is fixed."""
 
     @property
     def format(self) -> FrameFormat:
@@ -100,12 +130,16 @@ class Request:
     """What a station may ask on the control port.
 
     `hello`: who are you; `stop`: emergency stop, latched, with the reason in `text`; `release`: end it;
-    `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic.
+    `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic; `look`: turn the camera's pan-tilt
+    to `pan_rad` (left positive) and `tilt_rad` (up positive); `show`: the station sees `text`, one of SIGHTS, which a
+    robot with lights shows.
     """
 
     action: str
     text: str = ""
     value: float = 0.0
+    pan_rad: float = 0.0
+    tilt_rad: float = 0.0
 
     def __post_init__(self) -> None:
         if self.action not in ACTIONS:
@@ -130,15 +164,21 @@ class FrameStamp:
     capture_s: float
     dropped: int
     """Frames of this connection that were captured but not sent, so that the newest could go first."""
+    pan_rad: float | None = None
+    """Where the camera's pan-tilt looked when the picture was taken, as far as the agent knows; left positive, None
+    when the camera is fixed."""
+    tilt_rad: float | None = None
+    """The same upwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
     """Simulation only: where things really are when the stamped frame was taken. For summaries, never for control.
 
-    `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is that of the picture's centre from the optical
-    axis, `range_m` its distance from the camera, both None without a picture (in `turn` the bearing is that of the
-    heading at the start). `in_view`: the whole picture is in the frame and not hidden.
+    `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is the direction of the picture's centre, seen from
+    the camera, from the robot's heading (the optical axis of a fixed camera, and of one that pans by 0), `range_m` its
+    distance from the camera, both None without a picture (in `turn` the bearing is that of the heading at the start).
+    `in_view`: the whole picture is in the frame and not hidden.
     """
 
     robot: tuple[float, float, float]
@@ -162,6 +202,8 @@ class Telemetry:
     wheels_asked: tuple[int, int] = (0, 0)
     """Left, right in motor units, after safety."""
     wheels_measured: tuple[int, int] | None = None
+    battery_v: float | None = None
+    """Voltage of the robot's battery."""
     safety: str = "stopped"
     """"ok", "limited" (an obstacle bends the command) or "stopped"."""
     reason: str = ""

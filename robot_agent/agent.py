@@ -8,6 +8,7 @@ every command; `outlet` publishes telemetry and answers requests. What they shar
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ import numpy as np
 from protocol import (
     FRAME_PORT,
     PROTOCOL_VERSION,
+    SIGHTS,
     FrameFormat,
     FrameStamp,
     Hello,
@@ -34,8 +36,9 @@ from protocol import (
 from robot_agent import __version__
 from robot_agent.access import AllowList
 from robot_agent.cameras.base import Camera, CameraFrame
-from robot_agent.errors import AgentError, CameraError, EndOfRecording, UsageError
+from robot_agent.errors import AgentError, CameraError, EndOfRecording, PanTiltError, UsageError
 from robot_agent.outlet import Outlet
+from robot_agent.pantilt.base import PanTilt
 from robot_agent.ports import CommandReader, FrameWriter, Peer, StationPort
 from robot_agent.robots.base import Robot
 from robot_agent.safety import SafetySettings, SafetySupervisor
@@ -46,9 +49,11 @@ log = logging.getLogger(__name__)
 SAFETY_PERIOD_S = 0.01
 PEER_CHECK_S = 0.2
 WAIT_S = 0.1
+"""How long a thread waits before it looks whether the agent is to end."""
 FLUSH_S = 0.5
 """At the end of a recording its last picture has this long to leave."""
-"""How long a thread waits before it looks whether the agent is to end."""
+ROUNDING_RAD = 1e-6
+"""A station may ask for a limit itself, rounded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +75,7 @@ class AgentSettings:
 
 
 class Agent:
-    """Serves one station at a time with one camera and one robot.
+    """Serves one station at a time with one camera, on a pan-tilt or fixed, and one robot.
 
     `clock` is what safety measures time with: the monotonic clock, or in a simulation that goes step by step the
     simulated time (`stepped`: then nothing changes between two commands, and no ticking is needed).
@@ -83,12 +88,13 @@ class Agent:
         robot: Robot,
         settings: AgentSettings | None = None,
         *,
+        pan_tilt: PanTilt | None = None,
         scenario: Scenario | None = None,
         clock: Callable[[], float] = time.monotonic,
         stepped: bool = False,
     ) -> None:
         self._settings = settings or AgentSettings()
-        self._camera, self._robot = camera, robot
+        self._camera, self._robot, self._pan_tilt = camera, robot, pan_tilt
         self._clock, self._stepped = clock, stepped
         self._scenario = scenario
         self._format = _frame_format(camera, self._settings.rows)
@@ -214,6 +220,8 @@ class Agent:
         self._stopping.set()
         with ExitStack() as closing:  # the last one named is the first one called
             closing.callback(self._camera.close)
+            if self._pan_tilt is not None:
+                closing.callback(self._pan_tilt.close)
             closing.callback(self._robot.close)
             closing.callback(self._close_ports)
             for thread in threads:
@@ -291,12 +299,19 @@ class Agent:
 
     def _stamp_frame(self, peer: Peer, picture: CameraFrame, replaced: int) -> None:
         """Number the frame and publish its telemetry, so that the station has it before the last byte."""
+        pan_tilt = self._pan_tilt
+        pan_rad, tilt_rad = (None, None) if pan_tilt is None else pan_tilt.angles_at(picture.capture_s)
         with self._lock:
             before = self._stamp
             if before is None or before.connection != peer.number:
                 before = FrameStamp(connection=peer.number, number=0, capture_s=0.0, dropped=0)
             self._stamp = replace(
-                before, number=before.number + 1, capture_s=picture.capture_s, dropped=before.dropped + replaced
+                before,
+                number=before.number + 1,
+                capture_s=picture.capture_s,
+                dropped=before.dropped + replaced,
+                pan_rad=pan_rad,
+                tilt_rad=tilt_rad,
             )
             self._truth = picture.truth
         self._outlet.publish()
@@ -359,12 +374,24 @@ class Agent:
             return Reply(ok=True, hello=self._hello())
         if request.action == "exposure":
             return self._set_exposure(request.value)
+        if request.action == "look":
+            return self._look(request.pan_rad, request.tilt_rad)
+        if request.action == "show":
+            return self._show(request.text)
         if request.action == "stop":
             self._supervisor.emergency_stop(request.text)
         else:
             self._supervisor.release()
             log.warning("emergency stop released")
         self._wheels.decide()
+        return Reply(ok=True)
+
+    def _show(self, what: str) -> Reply:
+        if what not in SIGHTS:
+            return Reply(ok=False, error=f"a station sees one of {', '.join(SIGHTS)}, not {what[:40]!r}")
+        if not hasattr(self._robot, "show"):
+            return Reply(ok=False, error="this robot has no lights")
+        self._wheels.station_sees(what)
         return Reply(ok=True)
 
     def _set_exposure(self, exposure_us: float) -> Reply:
@@ -374,13 +401,33 @@ class Agent:
         set_exposure(exposure_us)
         return Reply(ok=True)
 
+    def _look(self, pan_rad: float, tilt_rad: float) -> Reply:
+        if self._pan_tilt is None:
+            return Reply(ok=False, error="this robot has no pan-tilt")
+        limits = self._pan_tilt.limits
+        if math.dist((pan_rad, tilt_rad), limits.clamped(pan_rad, tilt_rad)) > ROUNDING_RAD:
+            (right, left), (low, high) = limits.pan_rad, limits.tilt_rad
+            return Reply(
+                ok=False,
+                error=f"pan {pan_rad:.3f}, tilt {tilt_rad:.3f} rad is out of reach: pan goes from {right:.3f} to "
+                f"{left:.3f}, tilt from {low:.3f} to {high:.3f}",
+            )
+        try:
+            self._pan_tilt.look(pan_rad, tilt_rad)
+        except PanTiltError as error:
+            return Reply(ok=False, error=str(error))
+        return Reply(ok=True)
+
     def _hello(self) -> Hello:
         scenario = self._scenario
         if scenario is not None and self._frame_port.connections:
             scenario = replace(scenario, events=())  # the operator's hand moves once, for the first station
         if scenario is not None:
             scenario = _shifted_events(scenario, self._format.first_row)
-        capabilities = ["stop"] + (["exposure"] if hasattr(self._camera, "set_exposure") else [])
+        capabilities = ["stop"]
+        capabilities += ["exposure"] if hasattr(self._camera, "set_exposure") else []
+        capabilities += ["pan-tilt"] if self._pan_tilt is not None else []
+        capabilities += ["show"] if hasattr(self._robot, "show") else []
         return Hello(
             protocol=PROTOCOL_VERSION,
             agent=f"zservo robot-agent {__version__}",
@@ -398,6 +445,7 @@ class Agent:
             busy_with=self._station(),
             monotonic_s=self._clock(),
             scenario=scenario,
+            pan_tilt=self._pan_tilt.limits if self._pan_tilt is not None else None,
         )
 
     def _station(self) -> str | None:
@@ -418,6 +466,7 @@ class Agent:
                 proximity=state.proximity,
                 wheels_asked=(decision.left, decision.right),
                 wheels_measured=state.wheels_measured,
+                battery_v=state.battery_v,
                 safety=decision.state.value,
                 reason=decision.reason,
                 station=self._station(),

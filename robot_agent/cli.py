@@ -2,170 +2,45 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
 import logging
-import signal
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
-from types import FrameType
 
-from protocol import FRAME_PORT
-from protocol.frames import MAX_SIDE_PX
-from robot_agent import __version__
 from robot_agent.agent import Agent, AgentSettings
-from robot_agent.errors import AgentError, UsageError
-from robot_agent.rig import BUSES, CAMERAS, OWN_CAMERA, ROBOTS, RigOptions, build_rig
-from robot_agent.safety import PRESETS, SafetySettings
-from robot_agent.sim.faults import Faults
-from robot_agent.sim.scenarios import SCENARIOS
-
-EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
-END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, separator, height = text.lower().partition("x")
-    if not separator or not width.isdecimal() or not height.isdecimal() or not (int(width) and int(height)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no size; write WIDTHxHEIGHT, such as 640x480")
-    if max(int(width), int(height)) > MAX_SIDE_PX:
-        raise argparse.ArgumentTypeError(f"{text!r} is too large; each side may have {MAX_SIDE_PX} px")
-    return int(width), int(height)
-
-
-def _rows(text: str) -> tuple[int, int]:
-    first, separator, past_last = text.partition(":")
-    if not separator or not first.isdecimal() or not past_last.isdecimal() or int(first) >= int(past_last):
-        raise argparse.ArgumentTypeError(f"{text!r} are no rows; write FIRST:PAST_LAST, such as 208:272")
-    return int(first), int(past_last)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 10_000:
-        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
-    return value
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal() or int(text) >= 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is no seed; give a whole number below 2147483648")
-    return int(text)
-
-
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 65532:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port for four in a row; give 1..65532")
-    return int(text)
-
-
-def _fault(text: str) -> tuple[str, float]:
-    names = [field.name for field in dataclasses.fields(Faults)]
-    name, _, value = text.partition("=")
-    try:
-        if name not in names:
-            raise ValueError
-        return name, float(value)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE with one of {', '.join(names)}") from None
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="robot-agent",
-        description="Streams gray frames (TCP 31440) and obeys wheel commands (TCP 31441); telemetry and control on "
-        "the two ports after these. Without options: the simulated robot.",
-    )
-    add = parser.add_argument
-    add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
-    add("--camera", choices=CAMERAS, help="where pictures come from (default: a simulated robot's own, else usb)")
-    add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
-    add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
-    add("--fps", type=_positive, help="pictures per second (default: 30; a replay's own times)")
-    add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
-    add("--rhythm", choices=("free", "lockstep"), default="free", help="lockstep: one frame, one command (the thesis)")
-    add("--speed-scale", type=_positive, default=1.0, metavar="X", help="motor units per wire unit (default: 1)")
-    add("--listen", default="127.0.0.1", metavar="ADDRESS", help="(default: %(default)s; a real robot: 0.0.0.0)")
-    add("--port", type=_port, default=FRAME_PORT, metavar="BASE", help="first of the four ports (default: %(default)s)")
-    add("--allow", action="append", default=[], metavar="CIDR", help="only these networks may connect; repeatable")
-    add("--safety", choices=tuple(PRESETS), default="default", help="thesis: the obstacle rule of listing A.1")
-    add("--no-edge-stop", action="store_true", help="do not stop at a table's edge (dark floors look like one)")
-    add("--no-tilt-stop", action="store_true", help="do not stop when picked up or tilted")
-    add("--quiet", action="store_true", help="say only what goes wrong")
-    add("--version", action="version", version=f"robot-agent {__version__}")
-    thymio = parser.add_argument_group("thymio")
-    thymio.add_argument("--bus", choices=BUSES, default="session", help="D-Bus bus of asebamedulla (default: session)")
-    thymio.add_argument("--node", default="thymio-II", help="the robot's name there (default: %(default)s)")
-    simulation = parser.add_argument_group("simulation")
-    simulation.add_argument("--scenario", choices=tuple(SCENARIOS), default="leader", help="(default: %(default)s)")
-    simulation.add_argument("--seed", type=_seed, default=0, help="of textures, courses, noise (default: %(default)s)")
-    simulation.add_argument("--faults", action="store_true", help="slip, lost frames, blur and noise all at once")
-    simulation.add_argument("--fault", type=_fault, action="append", default=[], metavar="NAME=VALUE", help="one fault")
-    return parser
+from robot_agent.announce import announced
+from robot_agent.ending import EXIT_DONE, exit_code, interrupt, on_end_signals
+from robot_agent.errors import AgentError
+from robot_agent.options import agent_parser, rig_options, safety_settings
+from robot_agent.rig import build_rig
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the agent. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments and arguments[0] == "doctor":
+        from robot_agent.doctor.cli import main as doctor
+
+        return doctor(arguments[1:])
+    options = agent_parser().parse_args(arguments)
     logging.basicConfig(
         level=logging.WARNING if options.quiet else logging.INFO,
         format="%(asctime)s robot-agent: %(message)s",
         datefmt="%H:%M:%S",
     )
+    on_end_signals(interrupt)
     try:
-        faults = dataclasses.replace(Faults.standard() if options.faults else Faults(), **dict(options.fault))
-    except AgentError as error:
-        parser.error(str(error))
-    _end_building_on_signals()
-    try:
-        _serve(options, faults)
+        _serve(options)
     except KeyboardInterrupt:
         return EXIT_DONE  # before anything could move
     except AgentError as error:
         print(f"robot-agent: {error}", file=sys.stderr)
-        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
+        return exit_code(error)
     return EXIT_DONE
 
 
-def _safety(options: argparse.Namespace) -> SafetySettings:
-    settings = PRESETS[options.safety]
-    if options.no_edge_stop:
-        settings = dataclasses.replace(settings, edge=None)
-    if options.no_tilt_stop:
-        settings = dataclasses.replace(settings, tilt_rad=None)
-    return settings
-
-
-def _end_building_on_signals() -> None:
-    """Until the agent runs, a signal simply ends the program."""
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    for number in END_SIGNALS:
-        signal.signal(number, end)
-
-
-def _serve(options: argparse.Namespace, faults: Faults) -> None:
-    rig = build_rig(
-        RigOptions(
-            robot=options.robot,
-            camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
-            source=options.source,
-            size=options.size,
-            fps=options.fps,
-            bus=options.bus,
-            node=options.node,
-            lockstep=options.rhythm == "lockstep",
-            scenario=options.scenario,
-            seed=options.seed,
-            faults=faults,
-        )
-    )
+def _serve(options: Namespace) -> None:
+    rig = build_rig(rig_options(options))
     settings = AgentSettings(
         host=options.listen,
         port=options.port,
@@ -173,20 +48,25 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         rhythm=options.rhythm,
         rows=options.rows,
         speed_scale=options.speed_scale,
-        safety=_safety(options),
+        safety=safety_settings(options),
     )
     try:
-        agent = Agent(rig.camera, rig.robot, settings, scenario=rig.scenario, clock=rig.clock, stepped=rig.stepped)
+        agent = Agent(
+            rig.camera,
+            rig.robot,
+            settings,
+            pan_tilt=rig.pan_tilt,
+            scenario=rig.scenario,
+            clock=rig.clock,
+            stepped=rig.stepped,
+        )
+        names = {"robot": rig.robot.kind, "camera": type(rig.camera).__name__}
+        announcement = announced(options.listen, options.port, wanted=options.announce, **names)
     except AgentError:
-        rig.robot.close()
-        rig.camera.close()
+        rig.close()
         raise
 
-    def end(_number: int, _frame: FrameType | None) -> None:
-        agent.stop()
-
-    for number in END_SIGNALS:
-        signal.signal(number, end)
+    on_end_signals(agent.stop)
     logging.getLogger(__name__).info(
         "serving robot %s on %s, ports %d to %d (%s rhythm)",
         options.robot,
@@ -195,4 +75,8 @@ def _serve(options: argparse.Namespace, faults: Faults) -> None:
         options.port + 3,
         options.rhythm,
     )
-    agent.run()
+    try:
+        agent.run()
+    finally:
+        if announcement is not None:
+            announcement.close()

@@ -13,5 +13,9 @@ class CameraError(AgentError):
     """The camera is not there, or it broke."""
 
 
+class PanTiltError(AgentError):
+    """The pan-tilt's servos cannot be reached."""
+
+
 class EndOfRecording(AgentError):
     """A replay camera has shown its last frame."""

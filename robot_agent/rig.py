@@ -1,23 +1,28 @@
-"""Which camera goes with which robot: builds both from their names, with the clock that suits them."""
+"""Which camera goes with which robot and pan-tilt: builds them from their names, with the clock that suits them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from protocol import Scenario
 from robot_agent.cameras.base import Camera
-from robot_agent.errors import AgentError, UsageError
+from robot_agent.errors import UsageError
+from robot_agent.pantilt.base import PanTilt
+from robot_agent.pantilt.servoblaster import ServoBlaster, ServoBlasterSettings
 from robot_agent.robots.base import Robot
 from robot_agent.robots.none import NoRobot
+from robot_agent.settings_file import load_robot_settings
 from robot_agent.sim.faults import Faults
 
 CAMERAS = ("usb", "picamera2", "replay", "sim", "playground")
-ROBOTS = ("sim", "thymio", "playground", "none")
+ROBOTS = ("sim", "thymio", "thymio-serial", "playground", "none")
 OWN_CAMERA = ("sim", "playground")
 """Robots that come with a camera of their own, of the same name: the two are one world."""
 BUSES = ("session", "system")
+PAN_TILTS = ("none", "servoblaster", "sim")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +40,13 @@ class RigOptions:
     bus: str = "session"
     node: str = "thymio-II"
     """The Thymio's D-Bus bus, and its name in the Aseba network."""
+    pan_tilt: str = "none"
+    servos: ServoBlasterSettings = field(default_factory=ServoBlasterSettings)
+    """Of `servoblaster`; the limits hold for `sim` too."""
+    device: str | None = None
+    """Where thymio-serial finds it: a serial port, or tcp:HOST:PORT; None: the first serial port there is."""
+    trim: float | None = None
+    """The Thymio's right wheel over its left one; None: as the robot's settings file says."""
     lockstep: bool = False
     scenario: str = "leader"
     seed: int = 0
@@ -43,17 +55,29 @@ class RigOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """A camera and a robot. `clock`: what safety goes by; `stepped`: it stands still between two lockstep exchanges."""
+    """A camera, on a pan-tilt or fixed, and a robot. `clock`: what safety goes by; `stepped`: it stands still between
+    two lockstep exchanges."""
 
     camera: Camera
     robot: Robot
+    pan_tilt: PanTilt | None = None
     scenario: Scenario | None = None
     clock: Callable[[], float] = time.monotonic
     stepped: bool = False
+    bus: str | None = None
+    """Address of the D-Bus bus that a playground has for itself."""
+
+    def close(self) -> None:
+        """Let go of all of it, the robot first."""
+        with ExitStack() as closing:  # the last one named is the first one called
+            closing.callback(self.camera.close)
+            if self.pan_tilt is not None:
+                closing.callback(self.pan_tilt.close)
+            closing.callback(self.robot.close)
 
 
-def build_rig(options: RigOptions) -> Rig:
-    """Open camera and robot. Raises AgentError, in words, when one is not to be had or they do not go together."""
+def check_together(options: RigOptions) -> None:
+    """Raises UsageError, in words, when camera, robot and pan-tilt do not go together."""
     for name in OWN_CAMERA:
         if name in (options.robot, options.camera) and options.robot != options.camera:
             raise UsageError(
@@ -66,27 +90,58 @@ def build_rig(options: RigOptions) -> Rig:
             f"--source {options.source}: --robot {options.robot} has a camera of its own; to stream a recording use "
             "--robot none --camera replay."
         )
+    if options.robot == "playground" and options.pan_tilt != "none":
+        raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
+    if options.pan_tilt == ("servoblaster" if options.robot == "sim" else "sim"):
+        raise UsageError(
+            f"--pan-tilt {options.pan_tilt} does not turn this camera: use "
+            + ("--pan-tilt sim." if options.robot == "sim" else "--pan-tilt servoblaster.")
+        )
+
+
+def build_rig(options: RigOptions) -> Rig:
+    """Open camera, robot and pan-tilt. Raises AgentError, in words, when one is not to be had or they do not go
+    together."""
+    check_together(options)
     if options.robot == "sim":
         return _simulation(options)
     if options.robot == "playground":
         return _playground(options)
-    camera = _open_camera(options)
-    try:
-        return Rig(camera=camera, robot=_open_robot(options))
-    except AgentError:
-        camera.close()
-        raise
+    with ExitStack() as opened:
+        camera = open_camera(options)
+        opened.callback(camera.close)
+        pan_tilt = open_servos(options)
+        if pan_tilt is not None:
+            opened.callback(pan_tilt.close)
+        rig = Rig(camera=camera, robot=open_robot(options), pan_tilt=pan_tilt)
+        opened.pop_all()
+        return rig
 
 
-def _open_robot(options: RigOptions) -> Robot:
+def open_robot(options: RigOptions) -> Robot:
+    """The robot alone, of those that have no camera of their own. Raises AgentError when it is not to be had."""
     if options.robot == "thymio":
         from robot_agent.robots.thymio import ThymioRobot
 
-        return ThymioRobot(bus=options.bus, node=options.node)
+        return ThymioRobot(bus=options.bus, node=options.node, trim=_trim(options))
+    if options.robot == "thymio-serial":
+        from robot_agent.robots.thymio_serial import SerialThymioRobot
+
+        return SerialThymioRobot(device=options.device, node=options.node, trim=_trim(options))
     return NoRobot()
 
 
-def _open_camera(options: RigOptions) -> Camera:
+def open_servos(options: RigOptions) -> PanTilt | None:
+    """The servos alone, of a camera that is no part of a robot; None: it is fixed. Raises PanTiltError."""
+    return ServoBlaster(options.servos) if options.pan_tilt == "servoblaster" else None
+
+
+def _trim(options: RigOptions) -> float:
+    return options.trim if options.trim is not None else load_robot_settings().trim
+
+
+def open_camera(options: RigOptions) -> Camera:
+    """The camera alone, of those that are no part of a robot. Raises AgentError when it is not to be had."""
     width, height = options.size or (640, 480)
     fps = options.fps or 30.0
     if options.camera == "usb":
@@ -106,6 +161,7 @@ def _open_camera(options: RigOptions) -> Camera:
 
 def _simulation(options: RigOptions) -> Rig:
     from robot_agent.cameras.sim import SimCamera
+    from robot_agent.pantilt.sim import SimPanTilt
     from robot_agent.robots.sim import SimRobot
     from robot_agent.sim.world import World
 
@@ -117,10 +173,12 @@ def _simulation(options: RigOptions) -> Rig:
         height=height,
         fps=options.fps or 30.0,
         faults=options.faults,
+        pan_tilt=options.servos.limits if options.pan_tilt == "sim" else None,
     )
     return Rig(
         camera=SimCamera(world, realtime=not options.lockstep),
         robot=SimRobot(world),
+        pan_tilt=SimPanTilt(world) if world.pan_tilt is not None else None,
         scenario=world.scenario,
         clock=(lambda: world.time_s) if options.lockstep else time.monotonic,
         stepped=options.lockstep,
@@ -147,8 +205,9 @@ def _playground(options: RigOptions) -> Rig:
         noise_sigma=faults.noise_sigma,
     )
     try:
-        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node)
+        trim = options.trim if options.trim is not None else 1.0  # the settings file is about the real robot
+        robot = PlaygroundRobot(bus=world.programs.bus, node=options.node, trim=trim)
     except BaseException:
         world.close()
         raise
-    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario)
+    return Rig(camera=PlaygroundCamera(world), robot=robot, scenario=world.scenario, bus=world.programs.bus)

@@ -55,6 +55,8 @@ class Wheels:
         self._button_was_pressed = False
         self._problem = ""
         self._camera_problem = ""
+        self._station_sees = "idle"
+        self._shown = ""
 
     def take_command(self, command: Command, peer: Peer) -> None:
         """A command came from this peer. It holds only as long as the peer is there."""
@@ -62,6 +64,12 @@ class Wheels:
             scale = self._speed_scale
             self._command = WheelCommand(command.left * scale, command.right * scale, self._clock())
             self._commander = peer
+        self.decide()
+
+    def station_sees(self, what: str) -> None:
+        """What the robot's lights are to tell while its wheels may turn: one of SIGHTS."""
+        with self._lock:
+            self._station_sees = what
         self.decide()
 
     def picture_came(self) -> None:
@@ -106,6 +114,7 @@ class Wheels:
                     acceleration=state.acceleration,
                 )
                 self._robot.set_wheels(self.decision.left, self.decision.right)
+                self._light()
             except Exception as error:
                 self._robot_failed(error)
             after = self.decision
@@ -121,6 +130,16 @@ class Wheels:
             else:
                 self._supervisor.emergency_stop("the robot's button")
         self._button_was_pressed = pressed
+
+    def _light(self) -> None:
+        """What the robot shows tells a bystander why it stands, or what it goes by."""
+        if self._command_port.peer is None:
+            self._station_sees = "idle"  # the next station may see something else
+        what = "stopped" if self.decision.state is SafetyState.STOPPED else self._station_sees
+        show = getattr(self._robot, "show", None)
+        if show is not None and what != self._shown:
+            show(what)
+            self._shown = what
 
     def _robot_failed(self, error: Exception) -> None:
         self.robot_failure = f"the robot failed ({type(error).__name__}: {error})"

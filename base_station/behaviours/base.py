@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from base_station.types import TrackerResult
-from protocol import Command, RobotLimits
+from protocol import Command, PanTiltLimits, RobotLimits
 
 
 class Behaviour(Protocol):
@@ -15,6 +15,18 @@ class Behaviour(Protocol):
     def command(self, result: TrackerResult | None, time_s: float) -> Command:
         """The wheel speeds for this frame. `result` is None before anything was learned; `time_s` is the frame's
         time."""
+        ...
+
+
+class Head(Protocol):
+    """The camera on its pan-tilt. Trackers know nothing of it: they measure from the optical axis."""
+
+    limits: PanTiltLimits
+    pan_rad: float
+    """Where the camera looked, left of the robot's heading, in the frame that is dealt with."""
+
+    def look(self, pan_rad: float) -> None:
+        """Turn the camera there; returns at once, and the newest goal wins."""
         ...
 
 

@@ -3,6 +3,11 @@
 The features are s = (bearing, log r/r*), with r the range to the target and r* the learned one, as in ViSP's examples
 for mobile robots; the scene's scale need not be known, one nominal distance sets the gain. Each feature has a
 proportional and an integral part: against a leader that drives on, a proportional law alone stays behind by a constant.
+
+With a pan-tilt the camera is turned first: it is light and fast, and keeps the target in the middle of the picture. The
+body turns after it until the camera looks straight ahead again. So the bearing that the body sees is pan + bearing,
+while the range still follows from zoom and the bearing in the picture. Driving forward only helps as far as the body
+faces the target: the forward speed is multiplied by the cosine (Aicardi et al. 1995, steering of unicycles).
 """
 
 from __future__ import annotations
@@ -10,7 +15,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Drive
+from base_station.behaviours.base import Drive, Head
+from base_station.behaviours.search import PanSearch
 from base_station.types import TrackerResult, TrackingState
 from protocol import STOP, Command
 
@@ -34,15 +40,20 @@ class FollowSettings:
     """Scale of the forward gain; a guess of the learned distance within a factor of two does."""
     forward_limit_m_s: float = 0.16
     turn_limit_rad_s: float = 2.5
+    pan_gain: float = 0.8
+    """Share of the bearing in a frame that the pan makes up for at once. 1 would centre the target with the next frame
+    if the servo's angle were known exactly; below 2, wrongly scaled servos still converge."""
     longest_gap_s: float = 0.2
     """Frames further apart than this integrate as if they were this far apart."""
 
 
 class Follow:
-    """With a tracker that gives no zoom it only turns. While the target is not seen the robot stands."""
+    """With a tracker that gives no zoom it only turns. While the target is not seen the robot stands, and with a `head`
+    looks for it."""
 
-    def __init__(self, drive: Drive, settings: FollowSettings | None = None) -> None:
+    def __init__(self, drive: Drive, settings: FollowSettings | None = None, *, head: Head | None = None) -> None:
         self._drive, self._settings = drive, settings or FollowSettings()
+        self._gaze = _Gaze(head, self._settings.pan_gain) if head is not None else None
         self._turn = _Integrator(self._settings.integrate_within)
         self._forward = _Integrator(self._settings.integrate_within)
         self._last_s: float | None = None
@@ -52,10 +63,13 @@ class Follow:
         step_s = 0.0 if self._last_s is None else max(0.0, min(time_s - self._last_s, self._settings.longest_gap_s))
         self._last_s = time_s
         if result is None or result.state is not TrackingState.TRACKING or result.bearing_rad is None:
+            if self._gaze is not None and result is not None:
+                self._gaze.search(time_s)
             return STOP
         settings = self._settings
+        body_bearing_rad = result.bearing_rad if self._gaze is None else self._gaze.centre(result.bearing_rad)
         turn_rad_s = settings.turn_gain_per_s * self._turn.add(
-            result.bearing_rad,
+            body_bearing_rad,
             settings.turn_integral_per_s,
             step_s,
             settings.turn_limit_rad_s / settings.turn_gain_per_s,
@@ -69,6 +83,8 @@ class Follow:
                 step_s,
                 min(settings.forward_limit_m_s, self._drive.fastest_m_s) / gain_m_s,
             )
+            if self._gaze is not None:
+                forward_m_s *= max(0.0, math.cos(body_bearing_rad))
         return self._drive.command(forward_m_s, turn_rad_s)
 
 
@@ -78,6 +94,35 @@ def log_range_error(zoom: float, bearing_rad: float) -> float:
     Zoom is the inverse ratio of depths along the optical axis; a target aside is farther than its depth, by the cosine.
     """
     return -math.log(zoom * math.cos(bearing_rad))
+
+
+class _Gaze:
+    """Keeps the camera on the target, and looks for one that is lost."""
+
+    def __init__(self, head: Head, gain: float) -> None:
+        self._head, self._gain = head, gain
+        self._seen: tuple[float, float] | None = None
+        """The last goal of the pan, and the side of the picture on which the target was last (positive: left)."""
+        self._lost_s = 0.0
+        self._search: PanSearch | None = None
+
+    def centre(self, bearing_rad: float) -> float:
+        """Turn towards what is seen at this bearing from the optical axis; its bearing from the body."""
+        pan_rad = self._head.pan_rad
+        goal_rad = pan_rad + self._gain * bearing_rad
+        self._head.look(goal_rad)
+        self._seen, self._search = (goal_rad, bearing_rad), None
+        return pan_rad + bearing_rad
+
+    def search(self, time_s: float) -> None:
+        """The target is not seen. Before it ever was there is nothing to look for."""
+        if self._seen is None:
+            return
+        if self._search is None:
+            goal_rad, side = self._seen
+            self._search = PanSearch(self._head.limits, begin_rad=goal_rad, left_first=side >= 0)
+            self._lost_s = time_s
+        self._head.look(self._search.pan_rad(time_s - self._lost_s))
 
 
 class _Integrator:

@@ -7,7 +7,7 @@ import queue
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Behaviour, Drive
+from base_station.behaviours.base import Behaviour, Drive, Head
 from base_station.behaviours.follow import Follow
 from base_station.behaviours.goto import Goto
 from base_station.behaviours.scripted import Idle, Pattern
@@ -22,10 +22,12 @@ class BehaviourContext:
     drive: Drive
     keys: queue.SimpleQueue[str]
     camera: PinholeCamera
+    head: Head | None = None
+    """The camera's pan-tilt, when it is to be used."""
 
 
 BEHAVIOURS: dict[str, Callable[[BehaviourContext], Behaviour]] = {
-    "follow": lambda context: Follow(context.drive),
+    "follow": lambda context: Follow(context.drive, head=context.head),
     "goto": lambda context: Goto(context.drive, context.camera),
     "idle": lambda context: Idle(),
     "pattern": lambda context: Pattern(),

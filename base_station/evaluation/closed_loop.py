@@ -55,9 +55,12 @@ class Summary:
     shadow_bearing_estimate_error_deg_rms: float | None
     """The second tracker, which saw the same frames."""
     bearing_error_deg_rms: float | None
-    """True bearing of the picture's centre from the optical axis: how well it follows."""
+    """True bearing of the picture's centre from the robot's heading: how well it follows. The heading is the optical
+    axis of a fixed camera."""
     bearing_estimate_error_deg_rms: float | None
-    """Reported against true bearing: how well it sees."""
+    """Reported (the pan as the robot knows it, plus the bearing seen) against true bearing: how well it sees."""
+    camera_error_deg_rms: float | None
+    """With a pan-tilt: true bearing less pan, that is from the optical axis. How well the camera follows."""
     distance_error_rel_rms: float | None
     final_distance_error_m: float | None
     final_bearing_error_deg: float | None
@@ -87,6 +90,8 @@ class _Seen:
     time_s: float
     result: TrackerResult
     shadow: TrackerResult | None
+    pan_rad: float | None
+    """None when the camera is fixed."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,7 @@ class LoopLog:
         key = (step.frame.connection, step.frame.number)
         if step.learned and self._learned_key is None:
             self._learned_key, self._learned_at = key, len(self._steps)
-        self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow))
+        self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow, step.pan_rad))
         if step.learned:
             return  # learning is no tracking, its time would hide that of the frames
         self._tracker_s.append(step.tracker_s)
@@ -205,6 +210,7 @@ class LoopLog:
             shadow_bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled, _shadow)),
             bearing_error_deg_rms=_rms(_true_bearings_deg(settled)) if learned_range_m else None,
             bearing_estimate_error_deg_rms=_rms(_estimate_errors_deg(settled, _steering)),
+            camera_error_deg_rms=_rms(_camera_errors_deg(settled)),
             distance_error_rel_rms=_rms(_distance_errors(settled, learned_range_m)),
             final_distance_error_m=_mean_abs(_distance_errors(final, learned_range_m), learned_range_m),
             final_bearing_error_deg=_mean_abs(_true_bearings_deg(final)) if learned_range_m else None,
@@ -270,11 +276,20 @@ def _true_bearings_deg(rows: list[_Row]) -> list[float]:
 
 
 def _estimate_errors_deg(rows: list[_Row], which: Which) -> list[float]:
-    pairs = [(result.bearing_rad, row.truth.bearing_rad) for row in rows if (result := which(row)) is not None]
+    """What is seen is measured from the optical axis, the truth from the robot's heading: the pan lies between."""
+    seen = [(row, result.bearing_rad) for row in rows if (result := which(row)) is not None]
     return [
-        math.degrees(math.remainder(seen - true, 2 * math.pi))
-        for seen, true in pairs
-        if seen is not None and true is not None
+        math.degrees(math.remainder((row.seen.pan_rad or 0.0) + bearing - row.truth.bearing_rad, 2 * math.pi))
+        for row, bearing in seen
+        if bearing is not None and row.truth.bearing_rad is not None
+    ]
+
+
+def _camera_errors_deg(rows: list[_Row]) -> list[float]:
+    return [
+        math.degrees(math.remainder(row.truth.bearing_rad - row.seen.pan_rad, 2 * math.pi))
+        for row in rows
+        if row.seen.pan_rad is not None and row.truth.bearing_rad is not None
     ]
 
 

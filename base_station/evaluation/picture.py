@@ -12,6 +12,7 @@ import numpy as np
 
 from base_station.display import describe
 from base_station.evaluation.closed_loop import Summary
+from base_station.evaluation.drawing import BLUE, FAINT, GREEN, INK, ORANGE, RED, WHITE, as_ascii, draw_text
 from base_station.station import Step
 from base_station.types import TrackerResult, TrackingState
 from protocol import Truth
@@ -19,9 +20,6 @@ from protocol import Truth
 WIDTH, HEIGHT = 1280, 960
 PANEL_W, PANEL_H = WIDTH // 2, HEIGHT // 2
 MARGIN = 44
-WHITE, INK, FAINT = (255, 255, 255), (60, 50, 45), (225, 220, 215)
-BLUE, ORANGE, GREEN, RED = (190, 110, 30), (20, 120, 235), (80, 175, 60), (60, 60, 220)
-FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class RunPicture:
@@ -32,6 +30,7 @@ class RunPicture:
         self._result: TrackerResult | None = None
         self._zero_s: float | None = None
         self._bearings: list[tuple[float, float]] = []
+        self._pans: list[tuple[float, float]] = []
         self._zooms: list[tuple[float, float]] = []
 
     def note_step(self, step: Step) -> None:
@@ -41,7 +40,9 @@ class RunPicture:
             self._zero_s = step.frame.time_s
         time_s = step.frame.time_s - self._zero_s
         if step.result.bearing_rad is not None:
-            self._bearings.append((time_s, math.degrees(step.result.bearing_rad)))
+            self._bearings.append((time_s, math.degrees((step.pan_rad or 0.0) + step.result.bearing_rad)))
+        if step.pan_rad is not None:
+            self._pans.append((time_s, math.degrees(step.pan_rad)))
         if step.result.zoom is not None:
             self._zooms.append((time_s, 100 / step.result.zoom))
 
@@ -55,7 +56,7 @@ class RunPicture:
         _draw_curves(
             canvas[PANEL_H:, :PANEL_W],
             "bearing of the target, degrees (left positive)",
-            [("true", BLUE, true_bearings), ("seen", ORANGE, self._bearings)],
+            [("true", BLUE, true_bearings), ("seen", ORANGE, self._bearings), ("pan", GREEN, self._pans)],
         )
         if ranges:
             _draw_curves(canvas[PANEL_H:, PANEL_W:], "distance to the target, cm", [("true", BLUE, ranges)])
@@ -66,12 +67,12 @@ class RunPicture:
                 [("seen", ORANGE, self._zooms)],
             )
         title = f"{summary.scenario or 'live'}: {summary.tracker}, {summary.behaviour}, {summary.duration_s:.0f} s"
-        _text(canvas, title, (12, HEIGHT - 10), scale=0.5)
+        draw_text(canvas, title, (12, HEIGHT - 10), scale=0.5)
         return bytes(cv2.imencode(".png", canvas)[1])
 
     def _draw_view(self, panel: np.ndarray) -> None:
         if self._view is None or self._result is None:
-            _text(panel, "no frame came", (MARGIN, PANEL_H // 2))
+            draw_text(panel, "no frame came", (MARGIN, PANEL_H // 2))
             return
         scale = min(PANEL_W / self._view.shape[1], PANEL_H / self._view.shape[0])
         size = (max(1, round(self._view.shape[1] * scale)), max(1, round(self._view.shape[0] * scale)))
@@ -84,16 +85,16 @@ class RunPicture:
             cv2.rectangle(view, corner, opposite, color, 2, cv2.LINE_AA)
         height, width = view.shape[:2]
         view[:26] = view[:26] // 4
-        _text(view, f"{self._result.state.value}  {_ascii(describe(self._result))}", (8, 18), color=WHITE)
+        draw_text(view, f"{self._result.state.value}  {as_ascii(describe(self._result))}", (8, 18), color=WHITE)
         panel[:height, :width] = view
 
 
 def _draw_path(panel: np.ndarray, truths: list[tuple[float, Truth]]) -> None:
     robot = np.array([truth.robot[:2] for _, truth in truths]).reshape(-1, 2)
     target = np.array([truth.target[:2] for _, truth in truths if truth.target is not None]).reshape(-1, 2)
-    _text(panel, "path from above: robot blue, target orange", (MARGIN, 24))
+    draw_text(panel, "path from above: robot blue, target orange", (MARGIN, 24))
     if not len(robot):
-        _text(panel, "unknown: no truth outside of the simulation", (MARGIN, PANEL_H // 2))
+        draw_text(panel, "unknown: no truth outside of the simulation", (MARGIN, PANEL_H // 2))
         return
     both = np.vstack([robot, target])
     low, high = both.min(0) - 0.15, both.max(0) + 0.15
@@ -117,17 +118,17 @@ def _draw_ruler(panel: np.ndarray, px_per_m: float) -> None:
     length_m = next(m for m in (2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.01) if m * px_per_m < PANEL_W / 3 or m == 0.01)
     y, x = PANEL_H - 20, PANEL_W - MARGIN
     cv2.line(panel, (x - round(length_m * px_per_m), y), (x, y), INK, 2)
-    _text(panel, f"{length_m * 100:g} cm", (x - round(length_m * px_per_m), y - 8))
+    draw_text(panel, f"{length_m * 100:g} cm", (x - round(length_m * px_per_m), y - 8))
 
 
 Curve = tuple[str, tuple[int, int, int], list[tuple[float, float]]]
 
 
 def _draw_curves(panel: np.ndarray, title: str, curves: list[Curve]) -> None:
-    _text(panel, title, (MARGIN, 24))
+    draw_text(panel, title, (MARGIN, 24))
     points = np.array([point for _, _, curve in curves for point in curve]).reshape(-1, 2)
     if not len(points):
-        _text(panel, "not measured", (MARGIN, PANEL_H // 2))
+        draw_text(panel, "not measured", (MARGIN, PANEL_H // 2))
         return
     end_s = max(float(points[:, 0].max()), 1e-3)
     low, high = _span(points[:, 1])
@@ -142,13 +143,13 @@ def _draw_curves(panel: np.ndarray, title: str, curves: list[Curve]) -> None:
     for value in _ticks(low, high):
         y = round(bottom - (value - low) / (high - low) * (bottom - top))
         cv2.line(panel, (left, y), (right, y), FAINT, 1)
-        _text(panel, f"{value:g}", (4, y + 4), scale=0.4)
+        draw_text(panel, f"{value:g}", (4, y + 4), scale=0.4)
     for number, (name, color, curve) in enumerate(curves):
         if curve:
             cv2.polylines(panel, [to_px(curve)], False, color, 1, cv2.LINE_AA)
-            _text(panel, name, (right - 110 + 60 * number, 24), color=color)
-    _text(panel, "0", (left, bottom + 18), scale=0.4)
-    _text(panel, f"{end_s:.0f} s", (right - 30, bottom + 18), scale=0.4)
+            draw_text(panel, name, (right - 170 + 60 * number, 24), color=color)
+    draw_text(panel, "0", (left, bottom + 18), scale=0.4)
+    draw_text(panel, f"{end_s:.0f} s", (right - 30, bottom + 18), scale=0.4)
 
 
 def _span(values: np.ndarray) -> tuple[float, float]:
@@ -163,19 +164,3 @@ def _ticks(low: float, high: float) -> list[float]:
     step *= next(factor for factor in (1, 2, 5) if (high - low) / (step * factor) < 10)
     first = math.ceil(low / step)
     return [round(number * step, 10) for number in range(first, math.floor(high / step) + 1)]
-
-
-def _text(
-    panel: np.ndarray,
-    text: str,
-    at: tuple[int, int],
-    *,
-    color: tuple[int, int, int] = INK,
-    scale: float = 0.45,
-) -> None:
-    cv2.putText(panel, text, at, FONT, scale, color, 1, cv2.LINE_AA)
-
-
-def _ascii(text: str) -> str:
-    """OpenCV's fonts know ASCII only."""
-    return text.replace("°", " deg").encode("ascii", "replace").decode()

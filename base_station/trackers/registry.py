@@ -27,15 +27,71 @@ def _ztransform() -> Tracker:
     return ZTransformTracker()
 
 
+def _z_shift() -> Tracker:
+    from base_station.trackers.ztransform.thesis.z_shift import ZShiftTracker
+
+    return ZShiftTracker()
+
+
+def _z_regions() -> Tracker:
+    from base_station.trackers.ztransform.thesis.z_regions import ZRegionsTracker
+
+    return ZRegionsTracker()
+
+
 def _phase() -> Tracker:
     from base_station.trackers.baselines.phase import PhaseTracker
 
     return PhaseTracker()
 
 
+def _phase_row() -> Tracker:
+    from base_station.trackers.baselines.phase_row import PhaseRowTracker
+
+    return PhaseRowTracker()
+
+
+def _ncc() -> Tracker:
+    from base_station.trackers.baselines.ncc import NccTracker
+
+    return NccTracker()
+
+
+def _ratslam() -> Tracker:
+    from base_station.trackers.baselines.ratslam import RatSlamTracker
+
+    return RatSlamTracker()
+
+
+def _klt() -> Tracker:
+    from base_station.trackers.baselines.klt import KltTracker
+
+    return KltTracker()
+
+
+def _ecc() -> Tracker:
+    from base_station.trackers.baselines.ecc import EccTracker
+
+    return EccTracker()
+
+
+def _orb() -> Tracker:
+    from base_station.trackers.baselines.orb import OrbTracker
+
+    return OrbTracker()
+
+
 _LOADERS: dict[str, Callable[[], Tracker]] = {
     "ztransform": _ztransform,
+    "z-shift": _z_shift,
+    "z-regions": _z_regions,
     "phase": _phase,
+    "phase-row": _phase_row,
+    "ncc": _ncc,
+    "ratslam": _ratslam,
+    "klt": _klt,
+    "ecc": _ecc,
+    "orb": _orb,
 }
 
 

@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from protocol import Intrinsics
 from robot_agent.cameras.base import CameraFrame
+from robot_agent.cameras.decoding import read_gray, read_video, scaled
 from robot_agent.cameras.recordings import list_images
 from robot_agent.errors import CameraError, EndOfRecording
 
@@ -38,7 +38,7 @@ class ReplayCamera:
         path = Path(source).expanduser()
         if not path.exists():
             raise CameraError(f"There is no recording {source}: name a video file or a folder with --source.")
-        self._pictures = _folder(path) if path.is_dir() else _video(path)
+        self._pictures = _folder(path) if path.is_dir() else read_video(path)
         self._size, self._own_fps, self._realtime, self._clock = size, fps, realtime, clock
         self._first_time_s: float | None = None
         self._started_s = 0.0
@@ -84,8 +84,8 @@ class ReplayCamera:
         if item is None:
             return None
         time_s, picture = item
-        if self._size is not None and picture.shape != (self._size[1], self._size[0]):
-            picture = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
+        if self._size is not None:
+            picture = scaled(picture, self._size)
         if self._loaded == 0:
             self.height, self.width = picture.shape
         elif picture.shape != (self.height, self.width):
@@ -108,25 +108,7 @@ class ReplayCamera:
 
 def _folder(path: Path) -> Iterator[tuple[float | None, np.ndarray]]:
     for image in list_images(path):
-        picture = cv2.imread(str(image.path), cv2.IMREAD_GRAYSCALE)
+        picture = read_gray(image.path)
         if picture is None:
             raise CameraError(f"{image.path} is missing or no picture: mend the recording or take it out of the list.")
         yield image.time_s, picture
-
-
-def _video(path: Path) -> Iterator[tuple[float | None, np.ndarray]]:
-    capture = cv2.VideoCapture(str(path))
-    if not capture.isOpened():
-        raise CameraError(f"{path} is no video that OpenCV can read.")
-    fps = capture.get(cv2.CAP_PROP_FPS)
-    index = 0
-    try:
-        while True:
-            good, picture = capture.read()
-            if not good:
-                return
-            gray = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            yield (index / fps if fps > 0 else None), gray
-            index += 1
-    finally:
-        capture.release()

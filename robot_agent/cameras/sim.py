@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from protocol import Intrinsics
 from robot_agent.cameras.base import CameraFrame
-from robot_agent.sim import World
+from robot_agent.sim.world import World
 
 _SLICE_S = 0.004
 _MAX_CATCH_UP_S = 0.1

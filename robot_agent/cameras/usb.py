@@ -30,13 +30,7 @@ class UsbCamera:
         fps: float = 30.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._capture = cv2.VideoCapture(int(device) if device.isdigit() else device)
-        if not self._capture.isOpened():
-            present = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none"
-            raise CameraError(
-                f"Camera {device} cannot be opened (video devices here: {present}): "
-                "plug it in, or name another with --source."
-            )
+        self._capture = _open(device)
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
         self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
@@ -90,3 +84,16 @@ class UsbCamera:
         self._thread.join(timeout=1.0)
         if not self._thread.is_alive():
             self._capture.release()
+
+
+def _open(device: str) -> cv2.VideoCapture:
+    path = f"/dev/video{device}" if device.isdigit() else device
+    # OpenCV would print lines of its own about a device that is not there.
+    if not path.startswith("/") or Path(path).exists():
+        capture = cv2.VideoCapture(int(device) if device.isdigit() else device)
+        if capture.isOpened():
+            return capture
+    present = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none"
+    raise CameraError(
+        f"Camera {device} cannot be opened (video devices here: {present}): plug it in, or name another with --source."
+    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import shutil
+import socket
 import subprocess
 import tempfile
 import time
@@ -72,14 +73,14 @@ class Programs:
             described.write_text(describe(follower_port, leader_port), encoding="utf-8")
             self._start("asebaplayground", str(described))
             self._wait("asebaplayground", self._playground_answers)
-            # Without a port of its own medulla would take the playground's.
-            self._start("asebamedulla", "-p", str(medulla_port), f"tcp:localhost;{follower_port}")
+            self._start_medulla(medulla_port, follower_port)
             self.close = opened.pop_all().close
 
-    def why_ended(self, name: str) -> str | None:
-        """What a program said last, if it has ended; None while it runs."""
-        code = self._running[name].poll()
-        if code is None:
+    def why_ended(self, name: str, within_s: float = 0.0) -> str | None:
+        """What a program said last, if it has ended, or ends within this time; None while it runs."""
+        try:
+            code = self._running[name].wait(within_s)
+        except subprocess.TimeoutExpired:
             return None
         said = self._log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return f"{name} has ended with exit code {code}" + (f": {said[-1]}" if said else "")
@@ -103,6 +104,16 @@ class Programs:
         finally:
             os.close(readable)
             os.close(writable)
+
+    def _start_medulla(self, port: int, follower_port: int) -> None:
+        """asebamedulla talks through a connection that is made for it, because its own would wait with each command
+        until the playground has acknowledged the question before (Nagle's algorithm): a simulation step more."""
+        with socket.socket() as connection:
+            self._wait("asebaplayground", lambda: connection.connect_ex(("127.0.0.1", follower_port)) == 0)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            target = f"tcp:localhost;{follower_port};sock={connection.fileno()}"
+            # Without a port of its own medulla would take the playground's.
+            self._start("asebamedulla", "-p", str(port), target, pass_fd=connection.fileno())
 
     def _playground_answers(self) -> bool:
         bus = BusCalls(self.bus)

@@ -19,7 +19,7 @@ from robot_agent.cameras.base import CameraFrame
 from robot_agent.errors import AgentError, CameraError
 from robot_agent.playground.bodies import find_bodies
 from robot_agent.playground.description import playground_file
-from robot_agent.playground.programs import Programs
+from robot_agent.playground.programs import END_S, Programs
 from robot_agent.robots.aseba import BusCalls
 from robot_agent.sim.scene import Scene
 
@@ -84,7 +84,8 @@ class PlaygroundWorld:
             except CameraError:
                 raise
             except AgentError as error:
-                why = self.programs.why_ended("asebaplayground") or str(error)
+                # Its connections end before the process does.
+                why = self.programs.why_ended("asebaplayground", within_s=END_S) or str(error)
                 raise CameraError(f"The playground is gone: {why}") from error
 
     def close(self) -> None:

@@ -29,11 +29,12 @@ class NodeListener(Protocol):
 
     def node_found(self, variables: frozenset[str]) -> None: ...
 
-    def node_lost(self, why: str) -> None: ...
+    def node_lost(self, why: str) -> None:
+        """It is not there (or not yet), for this reason, in words; told again when the reason is another."""
 
 
 class AsebaBus:
-    """One node of the Aseba network, looked for by name until it is there, and again after it went.
+    """One node of the Aseba network, looked for by name from `start` until it is there, and again after it went.
 
     `bus`: "session", "system" or a bus's address. Raises AgentError when dbus-python or PyGObject is missing, or there
     is no such bus.
@@ -42,14 +43,16 @@ class AsebaBus:
     def __init__(self, *, bus: str, node: str, listener: NodeListener) -> None:
         self._dbus, self._glib = _load()
         self._node, self._listener = node, listener
-        self.why_absent = "looking for the robot"
-        """Why the node is not there, in words; empty while it is."""
+        self._why_absent = ""
         self._bus = _open(self._dbus, bus, self._dbus.mainloop.glib.DBusGMainLoop())
         self._present = False
         self._generation = 0
         self._network: Any = None
         self._loop = self._glib.MainLoop()
         self._thread = threading.Thread(target=self._loop.run, name="aseba", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for the node."""
         self._watch = self._bus.watch_name_owner(SERVICE, self._owner_changed)
         self._thread.start()
 
@@ -147,7 +150,7 @@ class AsebaBus:
             self._glib.timeout_add(LOOK_AGAIN_MS, self._look_for_node)
 
     def _found(self, variables: Sequence[str]) -> None:
-        self._present, self.why_absent = True, ""
+        self._present, self._why_absent = True, ""
         self._generation += 1
         log.info("robot: node %s found", self._node)
         self._listener.node_found(frozenset(str(name) for name in variables))
@@ -156,11 +159,10 @@ class AsebaBus:
     def _lose(self, why: str) -> None:
         if "nobody owns" in why:
             self._network = None
-        if why != self.why_absent:
-            log.warning("robot: %s", why)
-        was_present, self._present, self.why_absent = self._present, False, why
+        self._present = False
         self._generation += 1
-        if was_present:
+        if why != self._why_absent:
+            self._why_absent = why
             self._listener.node_lost(why)
 
 

@@ -22,13 +22,15 @@ class RobotState:
     """The robot's own stop button is held."""
     wheels_measured: tuple[int, int] | None = None
     """Left, right in motor units."""
+    battery_v: float | None = None
+    """Voltage of the battery (Thymio II: 4.2 full, below 3.4 soon empty)."""
     problem: str = ""
     """Why the robot cannot be driven just now (it is away), in words; empty when it can."""
 
 
 class Robot(Protocol):
     """Two driven wheels and proximity sensors. Any thread may call; no call blocks for longer than some
-    milliseconds."""
+    milliseconds. A robot with lights also has `show(what)`: "tracking", "lost", "idle" or "stopped"."""
 
     kind: str
     limits: RobotLimits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from protocol import RobotLimits
 from robot_agent.robots.base import RobotState
-from robot_agent.sim import World
+from robot_agent.sim.world import World
 
 
 class SimRobot:

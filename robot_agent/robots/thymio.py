@@ -1,8 +1,7 @@
 """A Thymio II over D-Bus and asebamedulla, as the thesis drives it (listing A.1), without ever waiting for the bus.
 
 Wheel targets are written when they change and when the write before was answered, so the bus sets the pace and the
-newest target wins. Sensors are asked for in turn, one question under way at a time. While the robot is away its wheels
-are unknown: `state` says so, the supervisor stops, and after its return it is stopped first and then obeys again.
+newest target wins. Sensors are asked for in turn, one question under way at a time.
 """
 
 from __future__ import annotations
@@ -10,36 +9,44 @@ from __future__ import annotations
 import functools
 import itertools
 import logging
-import threading
 import time
 from collections.abc import Callable, Iterator
 
-from protocol import RobotLimits
-from robot_agent.errors import AgentError
 from robot_agent.robots.aseba import AsebaBus
-from robot_agent.robots.base import RobotState
+from robot_agent.robots.thymio_node import (
+    ACCELERATION,
+    BATTERY,
+    BUTTON,
+    GROUND,
+    LEFT_SPEED,
+    LEFT_TARGET,
+    LIGHT,
+    PROXIMITY,
+    RIGHT_SPEED,
+    RIGHT_TARGET,
+    ThymioNode,
+)
 
 log = logging.getLogger(__name__)
 
-LEFT_TARGET, RIGHT_TARGET = "motor.left.target", "motor.right.target"
-PROXIMITY = "prox.horizontal"
-SLOW_SENSORS = ("prox.ground.delta", "acc", "button.center", "motor.left.speed", "motor.right.speed")
-"""Read one per turn between two readings of the proximity sensors."""
+SLOW_SENSORS = (
+    *(GROUND, BUTTON, ACCELERATION, LEFT_TARGET),
+    *(GROUND, BUTTON, LEFT_SPEED, RIGHT_SPEED, RIGHT_TARGET),
+)
+"""Read one per turn between two readings of the proximity sensors. What stops the robot comes up more often. The
+targets are read because asebamedulla answers a write whether it reached the robot or not."""
 POLL_S = 0.02
-CONFIRM_S = 2.0
-FIND_S = 5.0
-STALE_S = 0.6
-"""Sensor readings older than this are none."""
+BATTERY_EVERY_S = 5.0
 
 
-class ThymioRobot:
-    """Implements Robot. Raises AgentError when the node is not found within some seconds.
+class ThymioRobot(ThymioNode):
+    """Implements Robot. Raises AgentError when the node is not found within some seconds, or the trim is out of range.
 
-    `trim`: right wheel's speed over left's at equal targets; the targets are corrected by it.
+    `bus`, `node`: see AsebaBus; `trim`: see ThymioNode.
     """
 
     kind = "thymio"
-    limits = RobotLimits()
+    if_silent = " (after it was unplugged, start asebamedulla again: it does not find it by itself)"
 
     def __init__(
         self,
@@ -49,148 +56,121 @@ class ThymioRobot:
         trim: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._clock, self._trim = clock, trim
-        self._lock = threading.Lock()
-        self._wanted = (0, 0)
+        super().__init__(trim=trim, clock=clock)
         self._written: tuple[int, int] | None = None
-        self._writing = False
-        self._asking = False
-        self._readings: dict[str, tuple[float, list[int]]] = {}
+        self._lit: tuple[int, int, int] | None = None
+        self._writing = self._asking = False
+        self._variables: frozenset[str] = frozenset()
         self._turn: Iterator[str] = itertools.cycle(())
-        self._found = threading.Event()
+        self._battery_due_s = float("-inf")
         self._bus = AsebaBus(bus=bus, node=node, listener=self)
         self._bus.call_every(POLL_S, self._ask)
-        if not self._found.wait(FIND_S):
-            why = self._bus.why_absent
-            self._bus.close()
-            raise AgentError(f"No Thymio: {why}. Plug it in, switch it on, and start asebamedulla.")
+        self._bus.start()
+        self._wait_until_found("Plug it in, switch it on, and start asebamedulla.")
 
-    # -- Robot (any thread) ----------------------------------------------------------------------------------------
+    # -- any thread ------------------------------------------------------------------------------------------------
 
-    def set_wheels(self, left: int, right: int) -> None:
-        """See Robot. Returns at once; the bus's thread writes."""
-        right = max(-self.limits.max_units, min(self.limits.max_units, round(right / self._trim)))
-        with self._lock:
-            changed, self._wanted = (left, right) != self._wanted, (left, right)
-        if changed:
-            self._bus.call_soon(self._write)
+    def _write_soon(self) -> None:
+        self._bus.call_soon(self._write)
 
-    def state(self) -> RobotState:
-        """See Robot."""
-        left, right = self._reading("motor.left.speed"), self._reading("motor.right.speed")
-        proximity = self._reading(PROXIMITY)
-        return RobotState(
-            proximity=tuple(proximity) if proximity is not None else None,
-            ground=_pair(self._reading("prox.ground.delta")),
-            acceleration=_triple(self._reading("acc")),
-            button=bool(pressed[0]) if (pressed := self._reading("button.center")) else False,
-            wheels_measured=(left[0], right[0]) if left and right else None,
-            problem=self._problem(proximity),
-        )
+    def _read_back(self) -> None:
+        def right(left: list[int]) -> None:
+            self._bus.get(RIGHT_TARGET, functools.partial(self.targets_read_back, left), lambda why: None)
 
-    def close(self) -> None:
-        """Stop the wheels, read back that they stand, let go of the bus."""
-        self.set_wheels(0, 0)
-        if self._found.is_set() and not self._confirm_stop():
-            log.error(
-                "the robot did not confirm that its wheels stand: %s", self._bus.why_absent or "no answer in time"
-            )
+        def ask() -> None:
+            if not self.why_absent:
+                self._bus.get(LEFT_TARGET, right, lambda why: None)
+
+        self._bus.call_soon(ask)
+
+    def _disconnect(self) -> None:
         self._bus.close()
-
-    def _problem(self, proximity: list[int] | None) -> str:
-        if self._bus.why_absent:
-            return f"the robot is away, its wheels are unknown: {self._bus.why_absent}"
-        return "" if proximity is not None else "the robot's sensors do not answer"
-
-    def _reading(self, variable: str) -> list[int] | None:
-        with self._lock:
-            read_s, values = self._readings.get(variable, (float("-inf"), []))
-        return values if self._clock() - read_s < STALE_S else None
-
-    def _confirm_stop(self) -> bool:
-        stopped = threading.Event()
-
-        def check() -> None:
-            self._bus.get(LEFT_TARGET, check_right, lambda why: None)
-
-        def check_right(left: list[int]) -> None:
-            if left == [0]:
-                self._bus.get(RIGHT_TARGET, lambda right: stopped.set() if right == [0] else None, lambda why: None)
-
-        deadline_s = time.monotonic() + CONFIRM_S
-        while time.monotonic() < deadline_s and not self._bus.why_absent:
-            self._bus.call_soon(check)
-            if stopped.wait(0.2):
-                return True
-        return False
 
     # -- the bus's thread ------------------------------------------------------------------------------------------
 
     def node_found(self, variables: frozenset[str]) -> None:
-        """Whatever the robot was doing: it stands first."""
+        """See NodeListener."""
+        self._variables = variables
         self._turn = itertools.cycle([name for name in SLOW_SENSORS if name in variables] or [PROXIMITY])
         self._asking = self._writing = False
-        self._written = None
+        self._written = self._lit = None
+        self.has_come()
         self._write()
-        self._found.set()
 
     def node_lost(self, why: str) -> None:
-        """Nothing is known of it any more."""
-        with self._lock:
-            self._wanted = (0, 0)
-            self._readings.clear()
-        self._written, self._writing, self._asking = None, False, False
+        """See NodeListener."""
+        self.has_gone(why)
+        self._writing = self._asking = False
+        self._written = self._lit = None
 
     def _write(self) -> None:
-        with self._lock:
-            wanted = self._wanted
-        if self._writing or wanted == self._written or self._bus.why_absent:
+        if self._writing or self.why_absent:
             return
+        wanted, colour = self.wanted()
+        if wanted != self._written:
+            left, right = wanted
+            self._write_all({LEFT_TARGET: [left], RIGHT_TARGET: [right]}, functools.partial(self._wrote, wanted))
+        elif colour != self._lit and LIGHT in self._variables:
+            self._write_all({LIGHT: list(colour)}, functools.partial(self._lit_up, colour))
+
+    def _wrote(self, targets: tuple[int, int]) -> None:
+        self._written = targets
+
+    def _lit_up(self, colour: tuple[int, int, int]) -> None:
+        self._lit = colour
+
+    def _write_all(self, values: dict[str, list[int]], on_done: Callable[[], None]) -> None:
+        """Write these variables, then what is wanted by the time that all are answered."""
         self._writing = True
-        waiting = {LEFT_TARGET, RIGHT_TARGET}
+        waiting = set(values)
 
         def done(name: str) -> None:
             waiting.discard(name)
             if not waiting:
-                self._writing, self._written = False, wanted
+                self._writing = False
+                on_done()
                 self._write()
 
         def failed(why: str) -> None:
-            log.warning("the robot did not take its wheel speeds: %s", why)
-            self._writing, self._written = False, None
+            log.warning("the robot did not take %s: %s", ", ".join(values), why)
+            self._writing, self._written, self._lit = False, None, None
 
-        for name, value in zip((LEFT_TARGET, RIGHT_TARGET), wanted, strict=True):
-            self._bus.set(name, [value], functools.partial(done, name), failed)
+        for name, written in values.items():
+            self._bus.set(name, written, functools.partial(done, name), failed)
 
     def _ask(self) -> None:
         """Read the proximity sensors, then one of the slower ones; the next round begins when both have answered."""
-        if self._bus.why_absent or self._asking:
+        if self.why_absent or self._asking:
             return
         self._asking = True
         self._write()  # a write that failed is tried again
         self._bus.get(PROXIMITY, self._ask_slow_sensor, self._not_answered)
 
     def _ask_slow_sensor(self, proximity: list[int]) -> None:
-        self._keep(PROXIMITY, proximity)
-        name = next(self._turn)
+        self.keep(PROXIMITY, proximity)
+        name, written = self._next_sensor(), self._written
 
         def take(values: list[int]) -> None:
-            self._keep(name, values)
             self._asking = False
+            self.keep(name, values)
+            if written is not None and written == self._written:
+                self._check_target(name, values, written)
 
         self._bus.get(name, take, self._not_answered)
 
+    def _check_target(self, name: str, values: list[int], written: tuple[int, int]) -> None:
+        """A write may get lost on its way (over the radio, say): then it is written anew."""
+        expected = {LEFT_TARGET: written[0], RIGHT_TARGET: written[1]}.get(name)
+        if expected is not None and not self._writing and values != [expected]:
+            self._written = None
+            self._write()
+
+    def _next_sensor(self) -> str:
+        now_s = self._clock()
+        if BATTERY in self._variables and now_s >= self._battery_due_s:
+            self._battery_due_s = now_s + BATTERY_EVERY_S
+            return BATTERY
+        return next(self._turn)
+
     def _not_answered(self, why: str) -> None:
         self._asking = False
-
-    def _keep(self, name: str, values: list[int]) -> None:
-        with self._lock:
-            self._readings[name] = (self._clock(), values)
-
-
-def _pair(values: list[int] | None) -> tuple[int, int] | None:
-    return (values[0], values[1]) if values is not None and len(values) >= 2 else None
-
-
-def _triple(values: list[int] | None) -> tuple[int, int, int] | None:
-    return (values[0], values[1], values[2]) if values is not None and len(values) >= 3 else None

@@ -58,6 +58,7 @@ class Engine:
         self._body_geom = self._id("GEOM", "body")
         self._picture_geom = self._id("GEOM", "picture")
         self._camera = self._id("CAMERA", "camera")
+        self._mount = self._id("SITE", "mount")
         self._sensed = np.zeros(6, np.uint8)
         self._sensed[SENSED_GROUP] = 1
         self._rest_height_m, self._rest_tilt = self._settle()
@@ -73,7 +74,11 @@ class Engine:
 
     def drive(self, left_rad_s: float, right_rad_s: float) -> None:
         """Ask the wheels for these speeds; they follow with their own time constant."""
-        self._data.ctrl[:] = left_rad_s, right_rad_s
+        self._data.ctrl[:2] = left_rad_s, right_rad_s
+
+    def turn_camera(self, pan_rad: float, tilt_rad: float) -> None:
+        """Ask the pan-tilt's servos for these angles. Only in a model that has one."""
+        self._data.ctrl[2:] = pan_rad, tilt_rad
 
     @property
     def wheel_speeds_rad_s(self) -> tuple[float, float]:
@@ -152,10 +157,20 @@ class Engine:
         return geom == self._picture_geom or hit_m > distance_m
 
     @property
-    def camera_heading_rad(self) -> float:
-        """Horizontal direction of the optical axis."""
-        _, camera_from_world = self._camera_frame()
-        return math.atan2(camera_from_world[2, 1], camera_from_world[2, 0])
+    def mount_heading_rad(self) -> float:
+        """Horizontal direction of the optical axis of a camera that looks straight ahead."""
+        mount_from_world = self._mount_from_world()
+        return math.atan2(mount_from_world[2, 1], mount_from_world[2, 0])
+
+    @property
+    def picture_bearing_rad(self) -> float | None:
+        """Direction of the picture's centre, seen from the camera, from straight ahead; left positive. None without a
+        picture."""
+        if self._picture_geom < 0:
+            return None
+        eye, _ = self._camera_frame()
+        right, _, ahead = self._mount_from_world() @ (self._printed_face()[0] - eye)
+        return math.atan2(-right, ahead)
 
     def aim(self) -> None:
         """Copy the scene for the next `draw`. Only in the camera's thread."""
@@ -184,6 +199,10 @@ class Engine:
 
     def _camera_frame(self) -> tuple[np.ndarray, np.ndarray]:
         return self._data.cam_xpos[self._camera], _CV_FROM_MUJOCO @ self._data.cam_xmat[self._camera].reshape(3, 3).T
+
+    def _mount_from_world(self) -> np.ndarray:
+        """Rotation (3, 3) into the coordinates of the camera as it looks straight ahead."""
+        return _CV_FROM_MUJOCO @ self._data.site_xmat[self._mount].reshape(3, 3).T
 
     def _distance_ahead(self, sensor: Pose) -> float:
         """The ray starts inside the robot: at contact, the sensor itself may be a hair inside the obstacle."""

@@ -25,6 +25,8 @@ OBSTACLE_TYPE = 2
 _WALLS = ("east", "north", "west", "south")
 _WALL_HALF_M, _SLAB_HALF_M = 0.01, 0.001
 _WHEEL_HALF_M, _WHEEL_MIDDLE_M = 0.008, 0.0485
+_SERVO_INERTIA, _SERVO_RATE_S = 1.2e-5, 65.0
+"""Of a pan-tilt's servo, gears and all (kg m2), and how fast it answers (1/s)."""
 _PLAIN_WALL_GRAY, _PLAIN_FLOOR_GRAY = 150, 128
 _FLOOR_PX, _WALL_PX, _PICTURE_PX = (2048, 2048), (512, 2048), (512, 512)
 
@@ -38,9 +40,17 @@ class SimModel:
 
 
 def build_model(
-    stage: scenarios.Stage, *, texture_seed: int, timestep_s: float, width: int, height: int, intrinsics: Intrinsics
+    stage: scenarios.Stage,
+    *,
+    texture_seed: int,
+    timestep_s: float,
+    width: int,
+    height: int,
+    intrinsics: Intrinsics,
+    pan_tilt: bool = False,
 ) -> SimModel:
-    """The whole scene of a stage. `width`, `height` and `intrinsics` are those of the robot's camera."""
+    """The whole scene of a stage. `width`, `height` and `intrinsics` are those of the robot's camera; `pan_tilt`: it
+    stands on joints."""
     images = _images(stage, np.random.default_rng(texture_seed))
     fovy_deg = float(np.degrees(2.0 * np.arctan(height / 2.0 / intrinsics.fy)))
     assets = "".join(
@@ -58,8 +68,8 @@ def build_model(
 <default class="obstacle"><geom contype="{OBSTACLE_TYPE}"/></default>
 <default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
 <asset>{assets}{_shades()}{_meshes()}</asset>
-<worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, fovy_deg)}</worldbody>
-<actuator>{_motors()}</actuator>
+<worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, _camera(fovy_deg, pan_tilt))}</worldbody>
+<actuator>{_motors()}{_servos() if pan_tilt else ""}</actuator>
 </mujoco>"""
     files = {f"{name}.png": _png(image) for name, image in images.items()}
     return SimModel(mjcf=mjcf, files=files)
@@ -163,7 +173,7 @@ def _leader(stage: scenarios.Stage) -> str:
     )
 
 
-def _robot(start: Pose, fovy_deg: float) -> str:
+def _robot(start: Pose, camera: str) -> str:
     radius, half_base = thymio.WHEEL_RADIUS_M, thymio.LIMITS.wheel_base_m / 2
     # Ellipsoids touch the floor in one point, so that the wheel base is exact.
     wheels = "".join(
@@ -180,13 +190,34 @@ def _robot(start: Pose, fovy_deg: float) -> str:
         '<geom class="own" type="sphere" size="0.005" pos="0.066 0 0.005" conaffinity="1" priority="1" condim="1"'
         ' solref="0.005 1" material="trim"/>'
         '<geom class="own" type="capsule" size="0.003" fromto="0 0 0.05 0 0 0.085" material="tyre"/>'
-        f'<camera name="camera" pos="0 0 {thymio.CAMERA_HEIGHT_M}" xyaxes="0 -1 0 0 0 1" fovy="{fovy_deg!r}"/>'
-        f"{wheels}</body>"
+        f"{camera}{wheels}</body>"
+    )
+
+
+def _camera(fovy_deg: float, pan_tilt: bool) -> str:
+    """Fixed, or on two joints that cross in it: pan about the vertical (left positive), tilt about its horizontal axis
+    (up positive). `mount` is the way it looks with both at 0."""
+    forward = 'xyaxes="0 -1 0 0 0 1"'
+    mount = f'<site name="mount" group="{OWN_GROUP}" pos="0 0 {thymio.CAMERA_HEIGHT_M}" {forward}/>'
+    if not pan_tilt:
+        return f'{mount}<camera name="camera" pos="0 0 {thymio.CAMERA_HEIGHT_M}" {forward} fovy="{fovy_deg!r}"/>'
+    hinge = f'armature="{_SERVO_INERTIA}" damping="{2.0 * _SERVO_INERTIA * _SERVO_RATE_S}"'
+    part = '<inertial pos="0 0 0" mass="0.005" diaginertia="1e-6 1e-6 1e-6"/>'
+    return (
+        f'{mount}<body name="pan" pos="0 0 {thymio.CAMERA_HEIGHT_M}"><joint name="pan" axis="0 0 1" {hinge}/>{part}'
+        f'<body name="tilt"><joint name="tilt" axis="0 -1 0" {hinge}/>{part}'
+        f'<camera name="camera" {forward} fovy="{fovy_deg!r}"/></body></body>'
     )
 
 
 def _standing(pose: Pose) -> str:
     return f'pos="{pose.x_m!r} {pose.y_m!r} 0" euler="0 0 {pose.heading_rad!r}"'
+
+
+def _servos() -> str:
+    """Position servos, critically damped together with the joints: they lag behind a ramp by 2 / rate."""
+    gain = _SERVO_INERTIA * _SERVO_RATE_S**2
+    return "".join(f'<position name="{axis}" joint="{axis}" kp="{gain}"/>' for axis in ("pan", "tilt"))
 
 
 def _motors() -> str:

@@ -30,8 +30,21 @@ class Scene:
     others' luck alone.
     """
 
-    def __init__(self, *, scenario: str, seed: int, width: int, height: int, fps: float, noise_sigma: float) -> None:
-        """Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo."""
+    def __init__(
+        self,
+        *,
+        scenario: str,
+        seed: int,
+        width: int,
+        height: int,
+        fps: float,
+        noise_sigma: float,
+        pan_tilt: bool = False,
+    ) -> None:
+        """`pan_tilt`: the camera stands on its joints.
+
+        Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo.
+        """
         if seed < 0:
             raise AgentError(f"The seed must not be negative, but is {seed}.")
         self.width, self.height = width, height
@@ -47,6 +60,7 @@ class Scene:
             width=width,
             height=height,
             intrinsics=self.intrinsics,
+            pan_tilt=pan_tilt,
         )
         self.engine = Engine(model, width=width, height=height)
         self._noise = NoiseBank(sigma=noise_sigma, width=width, height=height, seed=noise_seed)
@@ -65,7 +79,7 @@ class Scene:
         """Where things are, as of the engine's last `refresh`."""
         robot, view, target = self.engine.robot_pose, self.engine.picture_view(), self.engine.picture_pose
         if view is None or target is None:
-            bearing = wrapped(self.stage.robot_start.heading_rad - self.engine.camera_heading_rad)
+            bearing = wrapped(self.stage.robot_start.heading_rad - self.engine.mount_heading_rad)
             return Truth(robot=_flat(robot), bearing_rad=bearing, in_view=True, collisions=collisions)
         in_view = view.is_framed(self.intrinsics, self.width, self.height) and all(
             self.engine.sees(point) for point in (view.centre, *view.corners)
@@ -73,7 +87,7 @@ class Scene:
         return Truth(
             robot=_flat(robot),
             target=_flat(target),
-            bearing_rad=view.bearing_rad,
+            bearing_rad=self.engine.picture_bearing_rad,
             range_m=view.range_m,
             in_view=in_view,
             collisions=collisions,

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from protocol import RobotLimits, Scenario, Truth
+from protocol import PanTiltLimits, RobotLimits, Scenario, Truth
 from robot_agent.cameras.base import CameraFrame
 from robot_agent.errors import CameraError
+from robot_agent.pantilt.slew import SERVO_LAG_S, Slew
 from robot_agent.robots.base import RobotState
 from robot_agent.sim import thymio
 from robot_agent.sim.faults import Faults
@@ -49,14 +50,26 @@ class World:
         height: int = 480,
         fps: float = 30.0,
         faults: Faults | None = None,
+        pan_tilt: PanTiltLimits | None = None,
     ) -> None:
-        """Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo."""
+        """`pan_tilt`: put the camera on one; None: it is fixed.
+
+        Raises AgentError for an unknown scenario (listing the valid ones), a negative seed, or without MuJoCo.
+        """
         self.width, self.height, self.fps = width, height, fps
         self.faults = faults or Faults()
         self.limits: RobotLimits = thymio.LIMITS
+        self.pan_tilt = pan_tilt
         self._scene = Scene(
-            scenario=scenario, seed=seed, width=width, height=height, fps=fps, noise_sigma=self.faults.noise_sigma
+            scenario=scenario,
+            seed=seed,
+            width=width,
+            height=height,
+            fps=fps,
+            noise_sigma=self.faults.noise_sigma,
+            pan_tilt=pan_tilt is not None,
         )
+        self._slew = Slew(pan_tilt) if pan_tilt is not None else None
         self.intrinsics = self._scene.intrinsics
         self.scenario: Scenario = self._scene.announcement
         self._stage, self._engine, self._step_s = self._scene.stage, self._scene.engine, self._scene.step_s
@@ -109,6 +122,18 @@ class World:
         limit = self.limits.max_units
         with self._lock:
             self._wheels = (max(-limit, min(limit, left)), max(-limit, min(limit, right)))
+
+    def look(self, pan_rad: float, tilt_rad: float) -> None:
+        """Turn the camera there from now on. Raises ValueError when it is fixed, or an angle is not finite."""
+        with self._lock:
+            if self._slew is None:
+                raise ValueError("this world's camera is fixed")
+            self._slew.look(self.time_s, pan_rad, tilt_rad)
+
+    def looked_at(self, time_s: float) -> tuple[float, float]:
+        """Pan and tilt at a simulated time, as far as one can know without asking the joints."""
+        with self._lock:
+            return self._slew.at(time_s - SERVO_LAG_S) if self._slew is not None else (0.0, 0.0)
 
     def advance(self, duration_s: float) -> None:
         """Let so much time pass, in whole steps (what is left over counts next time)."""
@@ -188,6 +213,8 @@ class World:
             units * kept * thymio.RADIANS_PER_UNIT_S for units, kept in zip(asked, self._slip.kept, strict=True)
         )
         self._engine.drive(left, right)
+        if self._slew is not None:
+            self._engine.turn_camera(*self._slew.at(self.time_s))
         self._engine.step()
         if held is not None:
             self._engine.place_robot(held)

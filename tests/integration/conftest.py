@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -51,6 +52,13 @@ def operator(port: int) -> Iterator[Operator]:
     client = Operator(port)
     yield client
     client.close()
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """For temporary files, with a short path: a socket's may have 107 characters."""
+    with tempfile.TemporaryDirectory(prefix="zs") as path:
+        yield Path(path)
 
 
 @pytest.fixture(scope="session")

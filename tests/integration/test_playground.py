@@ -5,42 +5,25 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from robot_agent.playground.programs import PACKAGES
-from tests.helpers import Program, Programs, TelemetryLog, driving, standing, wait_until
+from tests.helpers import Program, Programs, TelemetryLog, standing, wait_until
+from tests.playground import agent_with_playground, needs_playground
 
-MISSING = [name for name in PACKAGES if shutil.which(name) is None]
 STARTED = {"Xvfb", "dbus-daemon", "asebaplayground", "asebamedulla"}
 
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {MISSING}; scripts/setup installs them")
+pytestmark = needs_playground
 
 
 @pytest.fixture
-def scratch() -> Iterator[Path]:
-    """Where the agent puts its temporary files. Short: a socket's path may have 107 characters."""
-    with tempfile.TemporaryDirectory(prefix="pg") as folder:
-        yield Path(folder)
-
-
-@pytest.fixture
-def playground(programs: Programs, port: int, scratch: Path) -> Program:
-    """An agent in the playground that serves already, with a small picture."""
-    agent = programs.start(
-        *(sys.executable, "-m", "robot_agent", "--port", str(port), "--robot", "playground", "--seed", "3"),
-        *("--size", "320x240", "--speed-scale", "4"),
-        TMPDIR=str(scratch),
-    )
-    agent.says("serving robot playground", 30.0)
-    return agent
+def playground(programs: Programs, port: int, folder: Path) -> Program:
+    return agent_with_playground(programs, port, folder, "--size", "320x240")
 
 
 def children(agent: Program) -> dict[str, int]:
@@ -63,10 +46,10 @@ def all_gone(started: dict[str, int]) -> bool:
 
 
 def test_it_follows_the_leader_and_leaves_nothing(
-    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog], scratch: Path
+    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog], folder: Path
 ) -> None:
     """15 s behind the leader: tracked, straight ahead, at the distance. SIGTERM ends every program and every file."""
-    telemetry, summary = listen(), scratch / "summary.json"
+    telemetry, summary = listen(), folder / "summary.json"
     started = children(playground)
     assert started.keys() == STARTED
     station = programs.station(port, "--duration", "15", "--summary", str(summary), tracker="ztransform")
@@ -86,7 +69,7 @@ def test_it_follows_the_leader_and_leaves_nothing(
     assert playground.exit_code() == 0, playground.stderr
     assert "did not confirm" not in playground.stderr
     assert all_gone(started)
-    assert [path.name for path in scratch.iterdir()] == ["summary.json"]
+    assert [path.name for path in folder.iterdir()] == ["summary.json"]
 
 
 def test_a_killed_agent_leaves_no_programs(playground: Program) -> None:
@@ -100,36 +83,6 @@ def test_a_killed_agent_leaves_no_programs(playground: Program) -> None:
     wait_until(lambda: all_gone(started), 3.0, "the end of the programs")
 
 
-def test_the_robot_outlives_asebamedulla(
-    programs: Programs, port: int, playground: Program, listen: Callable[[], TelemetryLog]
-) -> None:
-    """Without asebamedulla the wheels are unknown and the station is told; 3 s after its return the robot drives."""
-    telemetry = listen()
-    programs.station(port, tracker="ztransform")
-    telemetry.wait_for(lambda message: driving(message) and (message.truth is not None), 15.0, what="driving")
-    medulla = children(playground)["asebamedulla"]
-    command = Path(f"/proc/{medulla}/cmdline").read_text().rstrip("\0").split("\0")
-    environment = dict(
-        entry.partition("=")[::2] for entry in Path(f"/proc/{medulla}/environ").read_text().split("\0") if entry
-    )
-
-    os.kill(medulla, signal.SIGTERM)
-    try:
-        away = telemetry.wait_for(lambda message: "asebamedulla" in message.reason, 2.0, what="the robot being away")
-        assert away.wheels_asked == (0, 0)
-        programs.start(*command, **environment)
-        telemetry.wait_for(
-            lambda message: message.safety == "ok" and driving(message),
-            3.0,
-            since_s=away.monotonic_s,
-            what="driving again",
-        )
-    except AssertionError:
-        if "The playground is gone" in playground.stderr or "The playground is gone" in str(telemetry.last):
-            pytest.xfail("asebaplayground itself crashed (SIGSEGV) when its client went, as it does now and then")
-        raise
-
-
 def test_a_dead_playground_is_an_error_in_words(playground: Program) -> None:
     """The world has gone: the agent ends, says which program it was, and takes the others along."""
     started = children(playground)
@@ -141,11 +94,11 @@ def test_a_dead_playground_is_an_error_in_words(playground: Program) -> None:
     assert all_gone(started)
 
 
-def test_a_missing_program_is_named_with_its_package(scratch: Path) -> None:
+def test_a_missing_program_is_named_with_its_package(folder: Path) -> None:
     """Nothing on the search path: what to install is said, in one line."""
     finished = subprocess.run(
         [sys.executable, "-m", "robot_agent", "--robot", "playground"],
-        env=os.environ | {"PATH": str(scratch)},
+        env=os.environ | {"PATH": str(folder)},
         capture_output=True,
         text=True,
         timeout=60,

@@ -19,27 +19,6 @@ from tests.helpers import (
 )
 
 FRAME_BYTES = 160 * 120
-CYCLE = [(100, 100)] * 15 + [(-68, 100)] * 5 + [(100, -68)] * 5 + [(-100, -100)] * 15
-"""Listing A.2's drive."""
-
-
-@pytest.mark.parametrize("rhythm", ["free", "lockstep"])
-def test_the_thesiss_station(
-    programs: Programs, port: int, pictures: Path, listen: Callable[[], TelemetryLog], rhythm: str
-) -> None:
-    """Listing A.2's program, one frame and then two bytes, works unchanged through its cycle, in either rhythm."""
-    programs.replay(port, pictures, "--rhythm", rhythm)
-    telemetry = listen()
-    with RawStation(port, FRAME_BYTES) as station:
-        for left, right in CYCLE:
-            station.read_frame()
-            station.send(left, right)
-        station.read_frame()
-        telemetry.wait_for(lambda message: message.wheels_asked == CYCLE[-1], what="the last command")
-    asked = [message.wheels_asked for message in telemetry.messages if message.station == station.address]
-    changes = [wheels for before, wheels in zip([None, *asked], asked, strict=False) if wheels != before]
-    without_stops = [wheels for wheels in changes if wheels != (0, 0)]
-    assert without_stops == [(100, 100), (-68, 100), (100, -68), (-100, -100)]
 
 
 def test_lockstep_waits_for_the_command(programs: Programs, port: int, pictures: Path) -> None:

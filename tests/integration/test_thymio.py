@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import statistics
 import time
@@ -9,9 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import thymiodirect
 
-from tests.helpers import Program, Programs, RawStation, TelemetryLog, free_ports, wait_until
-from tests.playground import Playground, needs_aseba
+from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
+from tests.playground import EDGE_CM, Playground, needs_aseba
 
 pytestmark = needs_aseba
 FRAME_BYTES = 160 * 120
@@ -19,16 +21,24 @@ FULL_SPEED = 100
 """Wire units; with --speed-scale 4 these are 400 motor units, 13 cm/s."""
 
 
-@pytest.fixture
-def playground(programs: Programs, tmp_path: Path) -> Iterator[Playground]:
-    yield Playground(programs, tmp_path)
+@pytest.fixture(scope="module")
+def playground(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Playground]:
+    """One for all tests: it takes some seconds to come up."""
+    programs = Programs()
+    try:
+        yield Playground(programs, tmp_path_factory.mktemp("playground"))
+    finally:
+        programs.close()
 
 
 @pytest.fixture
-def agent(playground: Playground, port: int, pictures: Path) -> Program:
+def agent(playground: Playground, port: int, pictures: Path) -> Iterator[Program]:
+    """An agent that serves already; the robot stands far from everything and looks at the wall."""
     started = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--speed-scale", "4")
     started.says("serving robot", 20.0)
-    return started
+    playground.put(60.0, 100.0, 0.0)
+    yield started
+    started.kill()
 
 
 def drive(station: RawStation, seconds: float, left: int, right: int) -> None:
@@ -73,9 +83,10 @@ def test_commands_reach_the_motors_soon_and_sigterm_stops_them(
 
 def test_station_that_goes_leaves_a_robot_that_stands(playground: Playground, agent: Program, port: int) -> None:
     """A station that ends (as by SIGKILL, its sockets close): the robot's targets are zero within 700 ms."""
+    begun_s = time.monotonic()
     with RawStation(port, FRAME_BYTES) as station:
         drive(station, 1.0, 40, 40)
-        playground.wait_for(lambda look: look.get("left") == 160, "a robot that drives")
+        playground.wait_for(lambda look: look.get("left") == 160, "a robot that drives", since_s=begun_s)
     gone_s = time.monotonic()
     stood = playground.wait_for(standing, "standing wheels", since_s=gone_s)
     assert stood["time_s"] - gone_s <= 0.7
@@ -90,25 +101,8 @@ def test_station_that_hangs_leaves_a_robot_that_stands(playground: Playground, a
     assert 0.3 <= stood["time_s"] - silent_s <= 0.9
 
 
-def test_asebamedulla_stops_and_starts_again(programs: Programs, pictures: Path, tmp_path: Path) -> None:
-    """The station is told that the wheels are unknown; commands resume within 3 s of asebamedulla's return.
-
-    asebaplayground itself crashes now and then when asebamedulla leaves: then there is no robot to come back to, and
-    the whole is done again.
-    """
-    for attempt in range(4):
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        if _medulla_restarted(Playground(programs, folder), free_ports(), pictures):
-            return
-        programs.close()
-    raise AssertionError("asebaplayground crashed four times")
-
-
-def _medulla_restarted(playground: Playground, port: int, pictures: Path) -> bool:
-    """False when the playground did not survive; AssertionError when anything else went wrong."""
-    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), "--speed-scale", "4")
-    agent.says("serving robot", 20.0)
+def test_asebamedulla_stops_and_starts_again(playground: Playground, agent: Program, port: int) -> None:
+    """The station is told that the wheels are unknown; commands resume within 3 s of asebamedulla's return."""
     telemetry = TelemetryLog(port).wait_until_live()
     try:
         with RawStation(port, FRAME_BYTES) as station:
@@ -120,16 +114,12 @@ def _medulla_restarted(playground: Playground, port: int, pictures: Path) -> boo
                 lambda message: "wheels are unknown" in message.reason, since_s=killed_s, what="why"
             )
             assert told.safety == "stopped" and told.wheels_measured is None
-            if not playground.survived():
-                return False
             playground.start_medulla()
             back_s = time.monotonic()
             while time.monotonic() < back_s + 3.0:
                 drive(station, 0.1, 35, 35)
-                if any(look["time_s"] > back_s and look.get("left") == 140 for look in playground.looks()):
-                    return True
-            if not playground.survived():
-                return False
+                if any(look.get("left") == 140 for look in playground.looks(back_s)):
+                    return
     finally:
         telemetry.close()
     raise AssertionError("commands did not resume within 3 s")
@@ -138,9 +128,10 @@ def _medulla_restarted(playground: Playground, port: int, pictures: Path) -> boo
 def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: int) -> None:
     """Driving at the wall it stops before contact, and drives away backwards when told."""
     playground.put(120.0, 100.0, 0.0)
+    begun_s = time.monotonic()
     with RawStation(port, FRAME_BYTES) as station:
-        drive(station, 4.0, FULL_SPEED, FULL_SPEED)
-        nearest_cm = max(look["x"] for look in playground.looks())
+        drive(station, 3.0, FULL_SPEED, FULL_SPEED)
+        nearest_cm = max(look["x"] for look in playground.looks(begun_s))
         front_cm, wall_cm = nearest_cm + 8.0, 149.0
         assert nearest_cm > 122.0, "it never drove"
         assert front_cm < wall_cm, f"contact: front at {front_cm:.1f} cm, wall at {wall_cm} cm"
@@ -149,28 +140,93 @@ def test_obstacle_at_full_speed(playground: Playground, agent: Program, port: in
         playground.wait_for(lambda look: look["x"] < nearest_cm - 2, "driving away", since_s=backing_s)
 
 
-@pytest.mark.parametrize(
-    ("options", "environment", "words"),
-    [
-        ((), {"DBUS_SESSION_BUS_ADDRESS": "unix:path=/nowhere/bus"}, "There is no D-Bus session bus"),
-        (("--node", "thymio-X"), {}, "thymio-II"),
-    ],
-)
-def test_what_is_missing_is_said_in_one_line(playground, programs, port, pictures, options, environment, words) -> None:
-    """No bus, no such node: exit code 1 and a sentence; the second one names the nodes there are."""
-    playground.environment |= environment
-    agent = playground.agent(port, "--camera", "replay", "--source", str(pictures), *options)
-    assert agent.exit_code(20.0) == 1
-    assert words in agent.stderr
+def test_a_table_s_edge(playground: Playground, agent: Program, port: int) -> None:
+    """Driving at full speed to where the floor is black it stops with its wheels before the edge, and backs off."""
+    playground.put(60.0, 100.0, math.pi)
+    begun_s = time.monotonic()
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            nearest_cm = min(look["x"] for look in playground.looks(begun_s))
+            assert EDGE_CM < nearest_cm < 50.0, "the wheels are at the robot's own place"
+            backing_s = time.monotonic()
+            drive(station, 1.5, -40, -40)
+            playground.wait_for(lambda look: look["x"] > nearest_cm + 2, "driving away", since_s=backing_s)
+    finally:
+        telemetry.close()
 
 
-def test_without_asebamedulla_its_absence_is_said(programs: Programs, port: int, pictures: Path) -> None:
-    """A bus without the service."""
-    bus = programs.start("dbus-daemon", "--session", "--nofork", "--print-address")
-    address = wait_until(lambda: bus.stdout.strip(), 5.0, "a session bus")
-    agent = programs.start(
-        "/usr/bin/python3", "-m", "robot_agent", "--robot", "thymio", "--port", str(port),
-        "--camera", "replay", "--source", str(pictures), DBUS_SESSION_BUS_ADDRESS=address,
-    )  # fmt: skip
-    assert agent.exit_code(20.0) == 1
-    assert "asebamedulla is not on the bus" in agent.stderr
+def test_without_d_bus_and_asebamedulla(programs: Programs, port: int, pictures: Path, tmp_path: Path) -> None:
+    """--robot thymio-serial at the playground's TCP port, on Debian's Python with thymiodirect beside it: it drives,
+    stops at the edge and when the station goes, and stands at the end."""
+    playground = Playground(programs, tmp_path, medulla=False)
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages/thymiodirect").symlink_to(Path(thymiodirect.__file__).parent)
+    agent = playground.agent(
+        port,
+        *("--device", f"tcp:127.0.0.1:{playground.aseba_port}", "--speed-scale", "4"),
+        *("--camera", "replay", "--source", str(pictures)),
+        robot="thymio-serial",
+        PYTHONPATH=str(tmp_path / "packages"),
+    )
+    agent.says("serving robot", 20.0)
+    playground.put(60.0, 100.0, math.pi)
+    telemetry = TelemetryLog(port).wait_until_live()
+    try:
+        with RawStation(port, FRAME_BYTES) as station:
+            drive(station, 3.5, FULL_SPEED, FULL_SPEED)
+            told = telemetry.wait_for(lambda message: message.reason == "an edge in front", what="the edge")
+            assert told.battery_v is None, "this robot has no battery to measure"
+            nearest_cm = min(look["x"] for look in playground.looks())
+            assert EDGE_CM < nearest_cm < 50.0
+            drive(station, 1.0, -40, -40)
+            telemetry.wait_for(lambda message: message.wheels_measured == (-160, -160), what="driving backwards")
+        gone_s = time.monotonic()
+        telemetry.wait_for(lambda message: message.wheels_measured == (0, 0), 0.7, since_s=gone_s, what="standing")
+        agent.signal(signal.SIGTERM)
+        assert agent.exit_code() == 0
+    finally:
+        telemetry.close()
+    assert "did not confirm" not in agent.stderr
+    wait_until(lambda: len({look["x"] for look in playground.looks()[-5:]}) == 1, 1.0, "a robot that stands")
+
+
+def test_it_drives_over_the_system_bus(playground: Playground, port: int, pictures: Path) -> None:
+    """--bus system: the same bus under the system bus's name, and no session bus at all."""
+    address = playground.environment["DBUS_SESSION_BUS_ADDRESS"]
+    agent = playground.agent(
+        port,
+        *("--camera", "replay", "--source", str(pictures), "--bus", "system"),
+        DBUS_SYSTEM_BUS_ADDRESS=address,
+        DBUS_SESSION_BUS_ADDRESS="unix:path=/nowhere/bus",
+    )
+    agent.says("serving robot", 20.0)
+    with RawStation(port, FRAME_BYTES) as station:
+        begun_s = time.monotonic()
+        drive(station, 1.0, 40, 40)
+        playground.wait_for(lambda look: look.get("left") == 40, "a robot that drives", since_s=begun_s)
+    agent.kill()
+
+
+def test_what_is_not_there_is_said(playground: Playground, programs: Programs, port: int, pictures: Path) -> None:
+    """No bus, no asebamedulla on the bus, no such node: exit code 1 and a sentence. (At once: some wait a while.)"""
+    nowhere = "unix:path=/nowhere/bus"
+    lonely = programs.start("dbus-daemon", "--session", "--nofork", "--print-address")
+    cases = {
+        "There is no D-Bus session bus": ((), {"DBUS_SESSION_BUS_ADDRESS": nowhere}),
+        "There is no D-Bus system bus": (("--bus", "system"), {"DBUS_SYSTEM_BUS_ADDRESS": nowhere}),
+        "asebamedulla is not on the bus": (
+            (),
+            {"DBUS_SESSION_BUS_ADDRESS": wait_until(lambda: lonely.stdout.strip(), 5.0, "a session bus")},
+        ),
+        "sees no node 'thymio-X' (it sees thymio-II; --node)": (("--node", "thymio-X"), {}),
+    }
+    camera = ("--camera", "replay", "--source", str(pictures))
+    agents = {
+        said: playground.agent(port, *camera, *options, **environment) for said, (options, environment) in cases.items()
+    }
+    for said, agent in agents.items():
+        assert agent.exit_code(30.0) == 1
+        assert said in agent.stderr and "Traceback" not in agent.stderr

@@ -19,6 +19,7 @@ from protocol import (
     FrameStamp,
     Hello,
     Intrinsics,
+    PanTiltLimits,
     Reply,
     Request,
     RobotLimits,
@@ -36,6 +37,8 @@ FRAME_WIDTH, FRAME_HEIGHT = 6, 4
 
 REQUEST = Request(action="stop", text="by the operator")
 
+LOOK = Request(action="look", pan_rad=0.5, tilt_rad=-0.25)
+
 HELLO_REPLY = Reply(
     ok=True,
     hello=Hello(
@@ -51,12 +54,13 @@ HELLO_REPLY = Reply(
         camera="SimCamera",
         intrinsics=Intrinsics(fx=530.5, fy=530.5, cx=319.5, cy=31.5),
         limits=RobotLimits(max_units=500, speed_scale=4.0, metres_per_unit_s=0.000325, wheel_base_m=0.094),
-        capabilities=("stop",),
+        capabilities=("stop", "pan-tilt", "show"),
         busy_with="192.168.0.20:51000",
         monotonic_s=12.5,
         scenario=Scenario(
             name="leader", seed=3, events=(ScenarioEvent(kind="learn", frame=1, box=(250.0, -10.0, 140.0, 140.0)),)
         ),
+        pan_tilt=PanTiltLimits(pan_rad=(-1.5, 1.5), tilt_rad=(-1.0, 1.0), slew_rad_s=3.0),
     ),
 )
 
@@ -66,10 +70,11 @@ TELEMETRY = Telemetry(
     sequence=17,
     monotonic_s=12.5,
     wall_s=1625000000.25,
-    frame=FrameStamp(connection=1, number=9, capture_s=12.25, dropped=2),
+    frame=FrameStamp(connection=1, number=9, capture_s=12.25, dropped=2, pan_rad=0.5, tilt_rad=-0.25),
     proximity=(0, 0, 2411, 0, 0, 0, 0),
     wheels_asked=(-40, 40),
     wheels_measured=(-38, 41),
+    battery_v=3.75,
     safety="limited",
     reason="obstacle in front",
     station="192.168.0.20:51000",
@@ -104,6 +109,7 @@ def golden_files() -> dict[str, bytes]:
         "commands.bin": command_bytes(),
         "commands_listing_a2.bin": pattern_bytes(),
         "request.bin": encode(REQUEST),
+        "request_look.bin": encode(LOOK),
         "reply_hello.bin": encode(HELLO_REPLY),
         "reply_refused.bin": encode(REFUSAL),
         "telemetry.bin": encode(TELEMETRY),

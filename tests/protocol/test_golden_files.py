@@ -11,6 +11,7 @@ from golden_messages import (
     FRAME_HEIGHT,
     FRAME_WIDTH,
     HELLO_REPLY,
+    LOOK,
     README,
     REFUSAL,
     REQUEST,
@@ -34,6 +35,7 @@ from protocol import (
     FrameStamp,
     Hello,
     Intrinsics,
+    PanTiltLimits,
     Reply,
     Request,
     RobotLimits,
@@ -49,7 +51,10 @@ from protocol.frames import MAX_SIDE_PX
 from protocol.messages import ACTIONS
 from protocol.records import MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_TEXT
 
-MESSAGES = (Telemetry, FrameStamp, Truth, Request, Reply, Hello, Intrinsics, RobotLimits, Scenario, ScenarioEvent)
+MESSAGES = (
+    Telemetry, FrameStamp, Truth, Request, Reply, Hello, Intrinsics, RobotLimits, PanTiltLimits, Scenario,
+    ScenarioEvent,
+)  # fmt: skip
 PORTS = (FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT)
 
 
@@ -95,6 +100,7 @@ def test_the_golden_drive_is_listing_a2_s():
 
 def test_the_golden_messages_are_read():
     assert decode_request(golden("request.bin")) == REQUEST
+    assert decode_request(golden("request_look.bin")) == LOOK
     assert decode_reply(golden("reply_hello.bin")) == HELLO_REPLY
     assert decode_reply(golden("reply_refused.bin")) == REFUSAL
     assert decode_telemetry(golden("telemetry.bin")) == TELEMETRY

@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import msgpack
 import pytest
-from golden_messages import HELLO_REPLY, REFUSAL, REQUEST, TELEMETRY
+from golden_messages import HELLO_REPLY, LOOK, REFUSAL, REQUEST, TELEMETRY
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +20,7 @@ from protocol import (
     TELEMETRY_PORT,
     FrameFormat,
     Hello,
+    PanTiltLimits,
     ProtocolError,
     Reply,
     Request,
@@ -33,7 +34,7 @@ from protocol.messages import ACTIONS
 from protocol.records import MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_TEXT
 
 DECODERS = {Request: decode_request, Reply: decode_reply, Telemetry: decode_telemetry}
-EXAMPLES = (REQUEST, HELLO_REPLY, REFUSAL, TELEMETRY)
+EXAMPLES = (REQUEST, LOOK, HELLO_REPLY, REFUSAL, TELEMETRY)
 HELLO = HELLO_REPLY.hello
 LEAST_TELEMETRY = {"sequence": 1, "monotonic_s": 0.5, "wall_s": 2.0}
 LEAST_HELLO = {
@@ -64,6 +65,10 @@ def strategy(kind: Any) -> st.SearchStrategy:
         return st.lists(strategy(arguments[0]), max_size=5).map(tuple)
     if origin is tuple:
         return st.tuples(*map(strategy, arguments))
+    if kind is PanTiltLimits:  # its numbers depend on each other
+        to_one_side = st.floats(0.0, 3.1)
+        span = st.tuples(to_one_side.map(lambda side: -side), to_one_side)
+        return st.builds(kind, pan_rad=span, tilt_rad=span, slew_rad_s=st.floats(0.001, 1e9))
     if dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         special = {
@@ -105,6 +110,15 @@ def test_unknown_keys_are_passed_over_at_every_depth():
     fields = dataclasses.asdict(TELEMETRY) | {"battery": {"volts": 3.7}}
     fields["frame"]["exposure_us"] = 8000
     assert decode_telemetry(packed(fields)) == TELEMETRY
+
+
+def test_telemetry_of_an_older_agent_is_read_and_a_newer_one_s_by_an_older_station():
+    """The battery came later: a message without it says that it is not known, one with it keeps all the rest."""
+    fields = msgpack.unpackb(encode(TELEMETRY))
+    del fields["battery_v"]
+    old = decode_telemetry(msgpack.packb(fields))
+    assert old.battery_v is None
+    assert dataclasses.replace(old, battery_v=TELEMETRY.battery_v) == TELEMETRY
 
 
 def test_missing_keys_take_their_defaults():
@@ -189,7 +203,7 @@ def test_what_is_no_map_with_text_keys_is_refused(value):
 
 
 def test_an_unknown_action_is_refused_with_the_list_of_those_there_are():
-    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure"):
+    with pytest.raises(ProtocolError, match="'dance'; there are hello, stop, release, exposure, look, show"):
         decode_request(packed({"action": "dance"}))
 
 
@@ -276,3 +290,50 @@ def test_deep_nesting_raises_protocol_errors_only(depth):
 def test_a_timestamp_or_an_extension_raises_protocol_errors_only():
     for value in (msgpack.Timestamp(1, 2), msgpack.ExtType(5, b"x")):
         only_protocol_errors(packed(LEAST_TELEMETRY | {"reason": value}))
+
+
+def without(fields: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if name not in names}
+
+
+def test_peers_from_before_the_pan_tilt_are_understood():
+    """Their messages lack its keys: the camera is fixed."""
+    old = dataclasses.asdict(TELEMETRY)
+    old["frame"] = without(old["frame"], "pan_rad", "tilt_rad")
+    stamp = decode_telemetry(packed(old)).frame
+    assert stamp is not None and (stamp.pan_rad, stamp.tilt_rad) == (None, None)
+    hello = decode_reply(packed({"ok": True, "hello": without(dataclasses.asdict(HELLO), "pan_tilt")})).hello
+    assert hello is not None and hello.pan_tilt is None
+    assert decode_request(packed(without(dataclasses.asdict(REQUEST), "pan_rad", "tilt_rad"))) == REQUEST
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pan_rad": (0.1, 1.0)},
+        {"pan_rad": (-4.0, 1.0)},
+        {"tilt_rad": (-1.0, -0.1)},
+        {"tilt_rad": (1.0, -1.0)},
+        {"slew_rad_s": 0.0},
+        {"slew_rad_s": -1.0},
+    ],
+    ids=str,
+)
+def test_limits_that_make_no_pan_tilt_are_refused(wrong):
+    limits = {"pan_rad": (-1.0, 1.0), "tilt_rad": (-1.0, 1.0), "slew_rad_s": 2.0} | wrong
+    with pytest.raises(ProtocolError):
+        decode_reply(packed({"ok": True, "hello": LEAST_HELLO | {"pan_tilt": limits}}))
+
+
+@pytest.mark.parametrize("angle", [float("nan"), float("inf"), "left", None, True])
+@pytest.mark.parametrize("name", ["pan_rad", "tilt_rad"])
+def test_a_look_must_be_at_numbers(name, angle):
+    with pytest.raises(ProtocolError, match=name):
+        decode_request(packed({"action": "look", name: angle}))
+
+
+def test_the_nearest_angles_within_the_limits():
+    limits = PanTiltLimits(pan_rad=(-1.5, 1.25), tilt_rad=(-0.5, 0.75), slew_rad_s=3.0)
+    assert limits.clamped(0.1, -0.2) == (0.1, -0.2)
+    assert limits.clamped(-9.0, 9.0) == (-1.5, 0.75)
+    assert limits.clamped(9.0, -9.0) == (1.25, -0.5)

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from robot_agent import __version__, cli
 from robot_agent.cameras.usb import UsbCamera
+from robot_agent.ending import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from robot_agent.errors import AgentError, CameraError
 from robot_agent.rig import RigOptions, build_rig
 from robot_agent.robots.none import NoRobot
+from robot_agent.settings_file import RobotSettings, save_robot_settings
 
 
 def usage_error(capsys, *arguments: str) -> str:
     """The last line of what a wrong command line is told; checks that the exit code is 2."""
     with pytest.raises(SystemExit) as ended:
         cli.main(list(arguments))
-    assert ended.value.code == cli.EXIT_USAGE == 2
+    assert ended.value.code == EXIT_USAGE == 2
     return capsys.readouterr().err.splitlines()[-1]
 
 
@@ -35,6 +39,38 @@ def test_rows_are_first_and_past_last(capsys, rows):
 @pytest.mark.parametrize("value", ["0", "-3", "nan", "inf", "fast", "1e9"])
 def test_rates_and_scales_are_positive_numbers(capsys, option, value):
     assert "is no positive number" in usage_error(capsys, f"{option}={value}")
+
+
+@pytest.mark.parametrize("trim", ["0.4", "2.1", "nan", "-1", "much", ""])
+def test_a_trim_is_a_number_near_1(capsys, trim):
+    assert "is no trim; give a number from 0.5 to 2" in usage_error(capsys, f"--trim={trim}")
+
+
+@pytest.mark.parametrize(
+    "device", ["tcp:", "tcp:pi", "tcp:pi:", "tcp::33333", "tcp:pi:0", "tcp:pi:65536", "tcp:pi:http"]
+)
+def test_a_device_is_a_port_or_a_whole_address(capsys, device):
+    assert "is no address; write tcp:HOST:PORT" in usage_error(capsys, f"--device={device}")
+
+
+def test_the_trim_is_the_option_s_else_the_settings_file_s(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    save_robot_settings(RobotSettings(trim=1.02))
+    trims = []
+    monkeypatch.setattr(
+        "robot_agent.robots.thymio_serial.SerialThymioRobot", lambda **options: trims.append(options["trim"])
+    )
+    options = RigOptions(robot="thymio-serial", camera="replay", source=recording(tmp_path))
+    for asked in (options, replace(options, trim=0.97)):
+        build_rig(asked).camera.close()
+    assert trims == [1.02, 0.97]
+
+
+def test_a_broken_settings_file_ends_the_agent_in_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    save_robot_settings(RobotSettings()).write_text("trim: 1.02")
+    told = failure(capsys, *replay(tmp_path), "--robot", "thymio-serial", "--device", "tcp:127.0.0.1:1")
+    assert "The robot's settings in" in told and "no JSON" in told
 
 
 @pytest.mark.parametrize("port", ["0", "65533", "-1", "http", "31440.5"])
@@ -78,11 +114,11 @@ def test_version_and_help_are_done_with_exit_code_0(capsys):
     for option, expected in (("--version", f"robot-agent {__version__}"), ("--help", "--speed-scale")):
         with pytest.raises(SystemExit) as ended:
             cli.main([option])
-        assert ended.value.code == cli.EXIT_DONE == 0
+        assert ended.value.code == EXIT_DONE == 0
         assert expected in capsys.readouterr().out
 
 
-def failure(capsys, *arguments: str, code: int = cli.EXIT_FAILED) -> str:
+def failure(capsys, *arguments: str, code: int = EXIT_FAILED) -> str:
     """The one line of what the agent says when it cannot do what is asked; checks the exit code too."""
     assert cli.main(["--quiet", *arguments]) == code
     (line,) = capsys.readouterr().err.splitlines()
@@ -92,13 +128,13 @@ def failure(capsys, *arguments: str, code: int = cli.EXIT_FAILED) -> str:
 
 def test_simulated_and_real_do_not_mix(capsys):
     for robot, camera in (("sim", "usb"), ("none", "sim")):
-        line = failure(capsys, "--robot", robot, "--camera", camera, code=cli.EXIT_USAGE)
+        line = failure(capsys, "--robot", robot, "--camera", camera, code=EXIT_USAGE)
         assert "use --robot sim with --camera sim" in line
         assert f"not --robot {robot} with --camera {camera}" in line
 
 
 def test_a_replay_needs_a_recording(capsys):
-    assert "with --source" in failure(capsys, "--robot", "none", "--camera", "replay", code=cli.EXIT_USAGE)
+    assert "with --source" in failure(capsys, "--robot", "none", "--camera", "replay", code=EXIT_USAGE)
 
 
 def test_a_recording_that_is_not_there_is_named(capsys, tmp_path):
@@ -116,13 +152,13 @@ def replay(folder) -> tuple[str, ...]:
 
 
 def test_rows_outside_of_the_picture_are_told_those_there_are(capsys, tmp_path):
-    assert "the picture has rows 0:24" in failure(capsys, *replay(tmp_path), "--rows", "20:25", code=cli.EXIT_USAGE)
+    assert "the picture has rows 0:24" in failure(capsys, *replay(tmp_path), "--rows", "20:25", code=EXIT_USAGE)
 
 
 def test_a_picture_too_large_for_the_wire_is_told_the_bound(capsys, tmp_path):
     with pytest.raises(SystemExit) as ended:
         cli.main([*replay(tmp_path), "--size", "9000x10"])
-    assert ended.value.code == cli.EXIT_USAGE
+    assert ended.value.code == EXIT_USAGE
     assert "8192" in capsys.readouterr().err
 
 
@@ -130,17 +166,17 @@ def test_a_picture_too_large_for_the_wire_is_told_the_bound(capsys, tmp_path):
 def test_a_seed_that_telemetry_could_not_carry_is_told_the_bound(capsys, seed):
     with pytest.raises(SystemExit) as ended:
         cli.main([f"--seed={seed}"])
-    assert ended.value.code == cli.EXIT_USAGE
+    assert ended.value.code == EXIT_USAGE
     assert "2147483648" in capsys.readouterr().err
 
 
 def test_a_source_for_a_robot_with_its_own_camera_is_told_the_way(capsys, tmp_path):
-    said = failure(capsys, "--source", str(tmp_path), code=cli.EXIT_USAGE)
+    said = failure(capsys, "--source", str(tmp_path), code=EXIT_USAGE)
     assert "--robot none --camera replay" in said
 
 
 def test_a_network_that_is_none_is_told_an_example(capsys, tmp_path):
-    assert "192.168.0.0/24" in failure(capsys, *replay(tmp_path), "--allow", "everybody", code=cli.EXIT_USAGE)
+    assert "192.168.0.0/24" in failure(capsys, *replay(tmp_path), "--allow", "everybody", code=EXIT_USAGE)
 
 
 def test_an_address_that_is_not_ours_is_named(capsys, tmp_path):
@@ -172,3 +208,25 @@ def test_a_rig_without_robot_takes_commands_and_moves_nothing(tmp_path):
 def test_a_rig_of_half_a_simulation_is_refused():
     with pytest.raises(AgentError, match="one world"):
         build_rig(RigOptions(robot="none", camera="sim"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--pan-tilt", "servoblaster"], "use --pan-tilt sim."),
+        (["--robot", "playground", "--pan-tilt", "sim"], "camera is fixed"),
+        (["--robot", "none", "--camera", "replay", "--source", "x", "--pan-tilt", "sim"], "--pan-tilt servoblaster"),
+        (["--pan-tilt", "sim", "--pan-pulse", "100:3000"], "from 500 to 2500"),
+        (["--pan-tilt", "sim", "--tilt-servo", "0"], "cannot both be servo 0"),
+        (["--pan-tilt", "sim", "--pan-servo", "left"], "'left' is no servo"),
+    ],
+)
+def test_a_pan_tilt_that_cannot_be_is_wrong_usage(capsys, options, said):
+    assert cli.main(options) == EXIT_USAGE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+@pytest.mark.parametrize("pulses", ["wide", "600", "600:", ":2400", "-600:2400", "600:2400:1"])
+def test_pulses_are_two_whole_numbers(capsys, pulses):
+    assert "are no pulses; write US:US, such as 600:2400" in usage_error(capsys, f"--pan-pulse={pulses}")

@@ -9,7 +9,8 @@ import pytest
 
 from robot_agent.cameras.sim import SimCamera
 from robot_agent.errors import CameraError
-from robot_agent.sim import Faults, World
+from robot_agent.sim.faults import Faults
+from robot_agent.sim.world import World
 
 SMALL = {"width": 160, "height": 120}
 SILENT = Faults(noise_sigma=0.0)

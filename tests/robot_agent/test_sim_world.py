@@ -8,8 +8,10 @@ import pytest
 
 from robot_agent.errors import AgentError, CameraError
 from robot_agent.robots.sim import SimRobot
-from robot_agent.sim import SCENARIOS, Faults, World, engine, thymio
-from robot_agent.sim.scenarios import build_stage
+from robot_agent.sim import engine, thymio
+from robot_agent.sim.faults import Faults
+from robot_agent.sim.scenarios import SCENARIOS, build_stage
+from robot_agent.sim.world import World
 
 SMALL = {"width": 160, "height": 120}
 

@@ -199,3 +199,56 @@ def test_a_robot_that_is_away_is_not_driven_until_it_is_back(bench):
     bench.robot.senses = RobotState()
     bench.wheels.decide()
     assert bench.robot.asked[-1] == (10, 10)
+
+
+class LitRobot(BreakableRobot):
+    """One with lights."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shown: list[str] = []
+
+    def show(self, what: str) -> None:
+        if "lights" in self.broken:
+            raise OSError("no such lights")
+        self.shown.append(what)
+
+
+@pytest.fixture
+def lit(bench):
+    """The bench with a robot that has lights."""
+    bench.robot = LitRobot()
+    bench.wheels._robot = bench.robot
+    return bench
+
+
+def test_the_lights_tell_what_the_station_sees_while_the_wheels_may_turn(lit):
+    lit.wheels.decide()
+    peer = lit.connect(lit.commands)
+    lit.wheels.picture_came()
+    lit.wheels.take_command(Command(5, 5), peer)
+    lit.wheels.station_sees("tracking")
+    for _ in range(3):
+        lit.wheels.decide()
+    lit.now_s += 0.6
+    lit.wheels.decide()
+    assert lit.robot.shown == ["stopped", "idle", "tracking", "stopped"], "each change once"
+
+
+def test_the_next_station_does_not_inherit_what_the_last_one_saw(lit):
+    peer = lit.connect(lit.commands)
+    lit.wheels.picture_came()
+    lit.wheels.take_command(Command(5, 5), peer)
+    lit.wheels.station_sees("lost")
+    lit.commands.drop(peer, "test")
+    lit.wheels.decide()
+    lit.wheels.take_command(Command(5, 5), lit.connect(lit.commands))
+    assert lit.robot.shown == ["idle", "lost", "stopped", "idle"]
+
+
+def test_lights_that_fail_are_a_robot_that_failed(lit):
+    peer = lit.connect(lit.commands)
+    lit.wheels.picture_came()
+    lit.robot.broken.add("lights")
+    lit.wheels.take_command(Command(5, 5), peer)
+    assert "no such lights" in lit.wheels.robot_failure and lit.robot.asked[-1] == (0, 0)

@@ -1,6 +1,7 @@
 """What the compiled kernels mean, in plain numpy: the definitions, summed out, without recursion.
 
-Slow on purpose. The tests hold `kernels.py` and `search_kernels.py` against these; the README derives them.
+Slow on purpose. The tests hold `kernels.py`, `search_kernels.py` and `thesis/kernels.py` against these; the README
+derives them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,47 @@ def shifted_transform(transform: complex, head: np.ndarray, z: complex) -> compl
     """
     n0 = len(head)
     return complex(z**n0 * (transform - np.sum(head * np.asarray(z, complex) ** -np.arange(n0))))
+
+
+def predicted_transforms(row: np.ndarray, anchor: int, z: complex, span: int) -> np.ndarray:
+    """The transforms about the anchor, to the right and left, were the row moved by -span..span; (2 span + 1, 2).
+
+    Algorithm 4.1 of Khalil 2021 foretells them by eqs. (3.3) and (3.4); here the row is really moved, and summed anew.
+    """
+    row = np.asarray(row, float)
+    middles = [anchor - shift for shift in range(-span, span + 1)]
+    right = [one_sided_transform(row, m, z) for m in middles]
+    left = [one_sided_transform(row[::-1], len(row) - 1 - m, z) for m in middles]
+    return np.stack([right, left], 1)
+
+
+def fit_shift(predicted: np.ndarray, seen: np.ndarray, any_gain: bool) -> tuple[float, float, float]:
+    """Index with fraction, residual 0..1 and gain of the prediction that is seen, by trying 1001 fractions of each."""
+    best = (0.0, np.inf, 0.0)
+    whole = float((np.abs(seen) ** 2).sum())
+    for i in range(len(predicted) - 1):
+        for part in np.linspace(0, 1, 1001):
+            between = (1 - part) * predicted[i] + part * predicted[i + 1]
+            length = float((np.abs(between) ** 2).sum())
+            gain = max(float((between.conj() * seen).real.sum()) / length, 0.0) if any_gain else 1.0
+            residual = float(np.sqrt((np.abs(seen - gain * between) ** 2).sum() / whole))
+            if residual < best[1]:
+                best = (i + part, residual, gain)
+    return best
+
+
+def region_transforms(row: np.ndarray, regions: int, z: np.ndarray) -> np.ndarray:
+    """Algorithm 4.2 of Khalil 2021: X(z) of each region by itself, from its left and from its right; (regions, zs, 2).
+
+    Divided by the sum of the weights, so that the numbers are grey levels whatever z and the region's length.
+    """
+    out = np.empty((regions, len(z), 2))
+    for r in range(regions):
+        part = np.asarray(row, float)[r * len(row) // regions : (r + 1) * len(row) // regions]
+        for k, pole in enumerate(z):
+            weights = pole ** -np.arange(len(part), dtype=float)
+            out[r, k] = (part * weights).sum() / weights.sum(), (part[::-1] * weights).sum() / weights.sum()
+    return out
 
 
 def recursive_transform(row: np.ndarray, z: complex) -> np.ndarray:

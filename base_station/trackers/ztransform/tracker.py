@@ -7,19 +7,18 @@ what probably happened, and a search of every further frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from base_station.geometry import PinholeCamera
-from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
-from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
+from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
+from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
 from base_station.trackers.ztransform.motion import Motion
 from base_station.trackers.ztransform.outline import left_side, lens_of, outline, place_placement, to_pixel
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import refine
-from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
-from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
+from base_station.trackers.ztransform.regression import RegressionSettings
+from base_station.trackers.ztransform.rigid import Look, RigidFollower, RigidSettings
 from base_station.trackers.ztransform.texture import texture_of
 from base_station.trackers.ztransform.viewing import view_angle_rad
 from base_station.types import Box, Frame, TrackerResult, TrackingState
@@ -39,11 +38,6 @@ class ZTransformSettings:
     """After a loss, for so long it is also looked for where it was, on the terms of tracking."""
     surprise: float = 0.12
     """A resemblance by this much below the usual is looked into: perhaps the true place is another."""
-    beyond_doubt: float = 0.85
-    """A resemblance at which a search needs not look at further candidates."""
-    aspects: tuple[float, float] = (0.5, 1.3)
-    """Width against height, both against the learned ones: a picture that turned by 60 degrees is half as wide. What
-    looks flatter or wider is the refinement squeezing itself into what is left of a target that is being covered."""
     least_share: float = 0.35
     """Of the target that must lie in the frame."""
     least_texture: float = 1.5
@@ -52,50 +46,36 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    place_zooms: tuple[float, float] = (0.8, 1.25)
-    """A learned place is searched for in this range only."""
-    tolerance: float = 0.001
-    """In target widths: refining ends when a step is smaller."""
-    signature: SignatureSettings = field(default_factory=SignatureSettings)
-    """How a patch is read."""
-    regression: RegressionSettings = field(default_factory=RegressionSettings)
-    """How its changes are learned."""
-    acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
-    """How it is searched for."""
+    firm: float = 0.78
+    """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
+    proven_frames: int = 60
+    """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
+    reconsider_s: float = 1.0
+    """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
+    loose_every: int = 4
+    """While a proven target is seen firm, the loose follower learns from every so many frames only."""
+    rigid_every: int = 5
+    """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
+    rigid: RigidSettings = field(default_factory=RigidSettings)
+    """Following what keeps its shape."""
+    loose: LooseSettings = field(default_factory=LooseSettings)
+    """Following what does not."""
 
 
-ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
-"""In target heights. While lost, every frame looks about one other row, so that searching them all costs no more."""
 USUAL_RATE = 0.05
 """Of the running mean of confidences, per frame."""
-
-
-@dataclass(frozen=True)
-class _Look:
-    """What refining from one start gave."""
-
-    placement: np.ndarray
-    confidence: float
-    share: float
+LINGER_FRAMES = 15
+"""A loose target that was lost is looked for where it was for so long, then around there too."""
+RING = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
 @dataclass(frozen=True)
 class _Learned:
-    """What `learn` keeps."""
+    """What `learn` keeps besides the followers'."""
 
     placement: np.ndarray
-    patch: np.ndarray
-    signature: np.ndarray
-    maps: np.ndarray
     shape: tuple[int, int]
     is_place: bool
-
-
-_FOLLOW = np.array([1, 2, 2, 2])
-_WIDER = np.array([0, 1, 2, 2])
-_FROM_SEARCH = np.array([1, 1, 2, 2])
-_FREE = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
-_FREE_PLACE = np.array([1.0, 1.0, -1.0, 1.0, 0.0])
 
 
 class ZTransformTracker:
@@ -103,11 +83,7 @@ class ZTransformTracker:
 
     def __init__(self, *, settings: ZTransformSettings | None = None) -> None:
         self._settings = settings or ZTransformSettings()
-        self._reader = SignatureReader(self._settings.signature)
-        self._acquisition = Acquisition(self._settings.acquisition)
-        cells = self._reader.cells
-        self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
-        self._signature = np.empty(self._reader.size, np.float32)
+        self._rigid, self._loose = RigidFollower(self._settings.rigid), LooseFollower(self._settings.loose)
         self._learned: _Learned | None = None
         self._motion = Motion()
         self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
@@ -122,23 +98,19 @@ class ZTransformTracker:
             self._check(target, frame.image.shape)
             x, y = target.center_px
             placement = np.array([x, y, target.width, target.height, 0.0])
-        patch, _, share = self._reader.patch(pyramid, placement, lens)
+        patch, share = self._rigid.read(pyramid, placement, lens)
         if share < settings.least_share:
             raise ValueError(f"only {share:.0%} of the box is inside of the frame")
         texture = texture_of(patch, 1)
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the target's texture is {texture:.1f} grey levels")
-        self._learned = _Learned(
-            placement,
-            patch,
-            self._reader.signature(patch)[0],
-            learn_maps(pyramid, placement, lens, self._reader, settings.regression),
-            frame.image.shape,
-            target is None,
-        )
-        self._acquisition.learn(pyramid.image, placement, lens)
+        self._learned = _Learned(placement, frame.image.shape, target is None)
+        self._rigid.learn(pyramid, placement, lens, is_place=target is None)
+        if target is not None:
+            self._loose.start(pyramid, placement)
         self._motion.start(placement, frame.time_s)
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
+        self._is_loose, self._frames_firm, self._firm_s, self._frames = False, 0, frame.time_s, 0
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
@@ -161,57 +133,72 @@ class ZTransformTracker:
         """Let go of what was learned."""
         self._learned = None
 
-    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[_Look, bool]:
+    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
+        assert self._learned is not None
         settings, followed, kept = self._settings, None, False
-        if self._is_tracking or self._motion.age_s(time_s) < settings.linger_s:
+        self._frames += 1
+        near = self._is_tracking or self._motion.age_s(time_s) < settings.linger_s
+        if near and not (self._is_loose and self._frames % settings.rigid_every):
             followed = self._follow(pyramid, time_s, lens)
             kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
-            if kept and followed.confidence >= self._usual_confidence - 2 * settings.surprise:
+            usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
+            if kept and usual and (self._learned.is_place or followed.confidence >= settings.firm):
+                self._seen_firm(pyramid, followed, time_s)
                 return followed, True
-        found = self._search(pyramid, lens)
+        if not self._learned.is_place and (near or self._is_loose or not self._is_proven):
+            loose = self._follow_loose(pyramid, time_s)
+            if loose is not None:
+                return loose, True
+        if self._is_loose and self._is_tracking:
+            return Look(self._motion.last, 0.0, 0.0), False
+        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
+            self._seen_firm(pyramid, found, time_s)
             return found, True
         if followed:
             return followed, kept
         return found, False
 
-    def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> _Look:
-        """Refine from the prediction; if it looks worse than usual, from further afield."""
-        predicted = self._motion.predict(time_s)
-        best = self._refine(pyramid, predicted, lens, _FOLLOW)
-        for start in (predicted, self._motion.last):
-            if best.confidence < max(self._usual_confidence - self._settings.surprise, self._settings.keep_confidence):
-                best = _better(best, self._refine(pyramid, start, lens, _WIDER))
-        return best
+    @property
+    def _is_proven(self) -> bool:
+        return self._frames_firm >= self._settings.proven_frames
 
-    def _search(self, pyramid: Pyramid, lens: np.ndarray) -> _Look:
-        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed."""
+    def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> Look:
+        """The signature, from where the target should be now."""
+        enough = max(self._usual_confidence - self._settings.surprise, self._settings.keep_confidence)
+        return self._rigid.follow(pyramid, lens, self._motion.predict(time_s), self._motion.last, enough)
+
+    def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float) -> None:
+        """The signature was seen; now and then the loose follower learns how the target looks there."""
         assert self._learned is not None
-        zooms = self._settings.place_zooms if self._learned.is_place else None
-        best = _Look(self._motion.last, 0.0, 0.0)
-        turn = self._frames_lost % (len(ROW_SHIFTS) + 1)
-        rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(self._motion.last[Y])}
-        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
-            best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
-            if best.confidence > self._settings.beyond_doubt:
-                break
-        return best
+        self._is_loose, self._firm_s = False, time_s
+        if look.confidence < self._settings.firm or self._learned.is_place:
+            return
+        self._frames_firm += 1
+        if look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+            return
+        if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
+            self._loose.adapt(pyramid)
 
-    def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> _Look:
-        learned = self._learned
-        assert learned is not None
-        placement = start.copy()
-        confidence, share, _ = refine(
-            *self._reader.source(pyramid, start), lens, placement, learned.patch, learned.signature, learned.maps,
-            levels, _FREE_PLACE if learned.is_place else _FREE, self._settings.tolerance,
-            self._patch, self._seen, self._signature, *self._reader.plan,
-        )  # fmt: skip
-        aspect = placement[WIDTH] / placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
-        low, high = self._settings.aspects
-        return _Look(placement, float(confidence) if low <= aspect <= high else 0.0, float(share))
+    def _follow_loose(self, pyramid: Pyramid, time_s: float) -> Look | None:
+        """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
+        settings, start = self._settings, self._motion.last.copy()
+        start[KEYSTONE] = 0.0
+        if self._frames_lost > LINGER_FRAMES:
+            side = settings.loose.window / 2 * float(np.sqrt(start[WIDTH] * start[HEIGHT]))
+            dx, dy = ((0, 0), *RING)[self._frames_lost % (len(RING) + 1)]
+            start[X] += dx * side
+            start[Y] += dy * side
+        sighting = self._loose.look(pyramid, start)
+        if sighting.sharpness < settings.loose.least_sharpness:
+            return None
+        proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
+        placement = sighting.placement if proven else self._loose.adapt(pyramid)
+        self._is_loose = not proven
+        return Look(placement, sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness), 1.0)
 
-    def _is_possible(self, look: _Look, shape: tuple[int, int]) -> bool:
+    def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
         p, settings = look.placement, self._settings
         return bool(
             look.share >= settings.least_share
@@ -219,7 +206,7 @@ class ZTransformTracker:
             and p[WIDTH] <= settings.largest_share * shape[1]
         )
 
-    def _tracked(self, frame: Frame, look: _Look, lens: np.ndarray) -> TrackerResult:
+    def _tracked(self, frame: Frame, look: Look, lens: np.ndarray) -> TrackerResult:
         learned = self._learned
         assert learned is not None
         p = look.placement
@@ -244,7 +231,7 @@ class ZTransformTracker:
             box=outline(p, lens),
         )
 
-    def _why(self, frame: Frame, look: _Look) -> str:
+    def _why(self, frame: Frame, look: Look) -> str:
         """What probably happened, in words."""
         settings, (rows, columns) = self._settings, frame.image.shape
         texture = texture_of(frame.image, max(1, columns // 32))
@@ -272,17 +259,15 @@ class ZTransformTracker:
         """Compile (or load) the kernels now, on a small made-up picture, so that the first frames are not late."""
         picture = np.random.default_rng(0).integers(0, 255, (48, 64), np.uint8)
         frame = Frame(image=picture, number=1, time_s=0.0, camera=PinholeCamera.with_fov(64, 48))
-        few = RegressionSettings(samples=8)
-        kept, self._settings = self._settings, ZTransformSettings(least_texture=0, regression=few)
+        few = replace(self._settings.rigid, regression=RegressionSettings(samples=8))
+        kept = self._settings, self._rigid
+        self._settings, self._rigid = ZTransformSettings(least_texture=0), RigidFollower(few)
         self.learn(frame, Box(40, 8, 32, 32))
         self.update(frame)
         self._is_tracking = False
         self.update(frame)
-        self._settings, self._learned = kept, None
-
-
-def _better(one: _Look, other: _Look) -> _Look:
-    return other if other.confidence > one.confidence else one
+        self._follow_loose(Pyramid(picture), 0.0)
+        (self._settings, self._rigid), self._learned = kept, None
 
 
 def _lost(reason: str, confidence: float) -> TrackerResult:

@@ -42,6 +42,7 @@ def step(number: int, time_s: float, result: TrackerResult, *, learned: bool = F
         result=result,
         shadow=None,
         command=STOP,
+        pan_rad=costs.get("pan_rad"),
         learned=learned,
         tracker_s=costs.get("tracker_s") or 0.0004,
         frame_to_command_s=costs.get("delay_s", 0.002),
@@ -276,3 +277,20 @@ def test_the_agent_s_processor_time_and_drops_come_from_telemetry():
     log.note_telemetry(telemetry(2, None, cpu_s=3.5, dropped=7))
     log.note_step(step(1, 0.0, tracking(), learned=True))
     assert (summed(log).agent_cpu_s, summed(log).frames_dropped) == (1.5, 7)
+
+
+def test_with_a_pan_tilt_the_sum_of_pan_and_bearing_is_compared_with_the_body_s_true_bearing():
+    """The camera looks 10 degrees to the left and sees the target 2 degrees right of its axis; the truth is 9."""
+    log = LoopLog(tracker="t", behaviour="b")
+    for index in range(100):
+        log.note_telemetry(telemetry(index + 1, truth(9.0)))
+        seen = tracking(math.radians(-2.0))
+        log.note_step(step(index + 1, index / 10, seen, learned=index == 0, pan_rad=math.radians(10.0)))
+    summary = summed(log)
+    assert summary.bearing_error_deg_rms == pytest.approx(9.0, abs=1e-5)
+    assert summary.bearing_estimate_error_deg_rms == pytest.approx(1.0, abs=1e-5)
+    assert summary.camera_error_deg_rms == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_fixed_camera_has_no_error_of_its_own():
+    assert run(10).camera_error_deg_rms is None

@@ -1,0 +1,244 @@
+"""Following what changes its shape: a walking person, a turning head, a hand.
+
+Where it is says a correlation filter on the phase channels of a window about it; how large it is says another one on a
+log-polar patch, in which growing is a shift along the rows. Both go on learning, a little in every frame, as long as
+the target is seen about as well as usual. See the README, section 7.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numba import njit
+
+from base_station.trackers.ztransform.channels import ChannelReader, ChannelSettings, learn_light
+from base_station.trackers.ztransform.correlation import CorrelationFilter, FilterSettings
+from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
+from base_station.trackers.ztransform.pyramid import Pyramid
+
+
+@dataclass(frozen=True, kw_only=True)
+class LooseSettings:
+    """Of both filters. Sizes are against the target's: the root of its width times its height."""
+
+    window: float = 3.5
+    """Side of the window that is searched."""
+    cells: int = 44
+    """Across the window."""
+    flat: float = 0.8
+    """Of the target's width and height that is learned in full."""
+    mask: float = 1.5
+    """Of its width and height beyond which nothing is learned."""
+    by_likelihood: float = 0.5
+    """How far a cell's light decides whether it is learned: 0 not at all, 1 alone."""
+    likelihood_weight: float = 3.0
+    """Of the channel of likelihoods against those of phase."""
+    grey_levels: int = 32
+    """Bins of the histograms."""
+    histogram_rate: float = 0.08
+    """How much of a frame's histograms is taken over."""
+    position: FilterSettings = field(
+        default_factory=lambda: FilterSettings(label_cells=1.0, regularisation=1e-3, rate=0.05)
+    )
+    """Where it is."""
+    channels: ChannelSettings = field(default_factory=ChannelSettings)
+    """Read about it."""
+    polar_cells: int = 32
+    """Rings, and rays, of the log-polar patch."""
+    polar_outer: float = 0.8
+    """Radius of its outermost ring, in widths and heights of the target."""
+    polar_inner: float = 0.15
+    """Radius of the innermost ring, against the outermost."""
+    polar_rise: float = 0.7
+    """Where between the innermost and the outermost ring the window is highest: near the outline."""
+    zoom: FilterSettings = field(
+        default_factory=lambda: FilterSettings(label_cells=1.0, regularisation=1e-2, rate=0.06)
+    )
+    """How large it is."""
+    polar_channels: ChannelSettings = field(default_factory=lambda: ChannelSettings(rates=(0.4, 1.0)))
+    """Read from the log-polar patch."""
+    zoom_least: float = 0.1
+    """An answer below this says nothing about the size."""
+    zoom_damping: float = 0.45
+    """Of a measured change of size that is taken."""
+    zoom_step: float = 0.1
+    """Largest change of the logarithm of the size at once."""
+    zoom_range: float = 5.0
+    """Against the learned size, either way."""
+    least_sharpness: float = 6.0
+    """An answer that stands out less is not the target's."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one look gave. `sharpness`: see `correlation.Peak`."""
+
+    placement: np.ndarray
+    sharpness: float
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def sample_polar(image, scale, placement, across, down, patch):
+    """Bilinear reads at placement + (across width, down height), float32 tables as large as the patch; the frame's
+    border repeats. `image`: the frame at 1 / scale of its size."""
+    height, width = image.shape
+    offset = 0.5 * (scale - 1)
+    gain_x, gain_y = np.float32(placement[WIDTH] / scale), np.float32(placement[HEIGHT] / scale)
+    start_x, start_y = np.float32((placement[X] - offset) / scale), np.float32((placement[Y] - offset) / scale)
+    low, right, bottom = np.float32(0.0), np.float32(width - 1.001), np.float32(height - 1.001)
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            x = min(max(start_x + across[i, j] * gain_x, low), right)
+            y = min(max(start_y + down[i, j] * gain_y, low), bottom)
+            column, row = int(x), int(y)
+            part_x, part_y = x - np.float32(column), y - np.float32(row)
+            above, above_right = np.float32(image[row, column]), np.float32(image[row, column + 1])
+            below, below_right = np.float32(image[row + 1, column]), np.float32(image[row + 1, column + 1])
+            above += (above_right - above) * part_x
+            below += (below_right - below) * part_x
+            patch[i, j] = above + (below - above) * part_y
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def weigh_mask(mask, light, down, right, share, likelihood_weight, out):
+    """The mask, less where the light (channel with the likelihood as its imaginary part, moved) is the background's."""
+    rows, columns = mask.shape
+    half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
+    for y in range(rows):
+        for x in range(columns):
+            source_y, source_x = y + down, x + right
+            inside = source_y >= 0 and source_y < rows and source_x >= 0 and source_x < columns
+            likely = light[source_y, source_x, 1] / likelihood_weight if inside else -one
+            out[y, x] = mask[y, x] * (one - share + share * min(max(half + likely, zero), one))
+
+
+class LooseFollower:
+    """One loose target. `start`, then `look` at every frame, and `adapt` where the look is believed."""
+
+    def __init__(self, settings: LooseSettings) -> None:
+        self._settings = s = settings
+        self._channels, self._polar_channels = ChannelReader(s.channels), ChannelReader(s.polar_channels)
+        fade = np.hanning(s.cells + 2)[1:-1]
+        self._position = CorrelationFilter(np.outer(fade, fade), s.position)
+        self._zoom = CorrelationFilter(_polar_window(s), s.zoom)
+        rings = np.exp(math.log(s.polar_inner) * (1 - (np.arange(s.polar_cells) + 0.5) / s.polar_cells))
+        rays = 2 * np.pi * np.arange(s.polar_cells) / s.polar_cells
+        self._across = (s.polar_outer * rings[:, None] * np.cos(rays)).astype(np.float32)
+        self._down = (s.polar_outer * rings[:, None] * np.sin(rays)).astype(np.float32)
+        self._polar = np.empty((s.polar_cells, s.polar_cells), np.float32)
+        self._log_ring = -math.log(s.polar_inner) / s.polar_cells
+        self._patch = np.empty((s.cells, s.cells), np.uint8)
+        self._inside, self._outside = np.zeros(s.grey_levels, np.float32), np.zeros(s.grey_levels, np.float32)
+        self._likelihood = np.zeros(s.grey_levels, np.float32)
+
+    def start(self, pyramid: Pyramid, placement: np.ndarray) -> None:
+        """Remember what is at this placement (see `kernels`; the keystone does not count)."""
+        self._learned, self._size_next = placement.copy(), True
+        self._mask = self._target_mask(placement)
+        self._sample(pyramid, placement)
+        self._count(1.0, 0, 0)
+        read = self._read()
+        self._position.learn(read, self._weighed(read, 0, 0))
+        self._zoom.learn(self._read_polar(pyramid, placement))
+
+    def look(self, pyramid: Pyramid, start: np.ndarray) -> Sighting:
+        """Where it is, looked for around `start`, with the size at `start`."""
+        self._sample(pyramid, start)
+        self._read_last = self._read()
+        self._peak = peak = self._position.find(self._read_last)
+        placement, cell = start.copy(), self._side(start) / self._settings.cells
+        placement[X] = min(max(placement[X] + peak.columns * cell, 0.0), pyramid.image.shape[1] - 1.0)
+        placement[Y] = min(max(placement[Y] + peak.rows * cell, 0.0), pyramid.image.shape[0] - 1.0)
+        self._found = placement
+        return Sighting(placement, peak.sharpness)
+
+    def adapt(self, pyramid: Pyramid) -> np.ndarray:
+        """Believe the last look: learn from it, and give the placement with the size.
+
+        In turns, to halve the cost: what it looks like in one frame, how large it is in the next.
+        """
+        peak = self._peak
+        if self._size_next:
+            self._measure_size(pyramid, self._found)
+        else:
+            down, right = round(peak.rows), round(peak.columns)
+            self._position.adapt(self._read_last, peak, self._weighed(self._read_last, down, right))
+            self._count(self._settings.histogram_rate, down, right)
+        self._size_next = not self._size_next
+        return self._found
+
+    def _measure_size(self, pyramid: Pyramid, placement: np.ndarray) -> None:
+        """Change the placement's size to that of the target, and learn how it looks at this size."""
+        s, polar = self._settings, self._read_polar(pyramid, placement)
+        growth = self._zoom.find(polar)
+        # Turning moves the columns; the size alone is wanted, and learned as if the target had not turned.
+        self._zoom.adapt(polar, dataclasses.replace(growth, columns=0.0))
+        if growth.height > s.zoom_least:
+            step = s.zoom_damping * growth.rows * self._log_ring
+            wanted = math.log(placement[WIDTH] / self._learned[WIDTH]) + min(max(step, -s.zoom_step), s.zoom_step)
+            zoom = math.exp(min(max(wanted, -math.log(s.zoom_range)), math.log(s.zoom_range)))
+            placement[[WIDTH, HEIGHT]] = zoom * self._learned[[WIDTH, HEIGHT]]
+
+    def _side(self, placement: np.ndarray) -> float:
+        return self._settings.window * math.sqrt(placement[WIDTH] * placement[HEIGHT])
+
+    def _sample(self, pyramid: Pyramid, placement: np.ndarray) -> None:
+        """The window about a placement, a bilinear read per cell; the frame's border repeats."""
+        cell = self._side(placement) / self._settings.cells
+        image, scale, _ = pyramid.for_cell(cell)
+        middle = (self._settings.cells - 1) / 2
+        x, y = ((placement[axis] - (scale - 1) / 2 - middle * cell) / scale for axis in (X, Y))
+        window = np.array([[cell / scale, 0.0, x], [0.0, cell / scale, y]])
+        cv2.warpAffine(
+            image, window, self._patch.shape[::-1], self._patch, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+
+    def _read(self) -> np.ndarray:
+        return self._channels.read(self._patch, self._likelihood, self._settings.likelihood_weight)
+
+    def _read_polar(self, pyramid: Pyramid, placement: np.ndarray) -> np.ndarray:
+        ring = self._log_ring * self._settings.polar_outer * math.sqrt(placement[WIDTH] * placement[HEIGHT])
+        image, scale, _ = pyramid.for_cell(ring)
+        sample_polar(image, scale, placement, self._across, self._down, self._polar)
+        return self._polar_channels.read(self._polar, np.zeros(2, np.float32), 0.0)
+
+    def _weighed(self, read: np.ndarray, down: int, right: int) -> np.ndarray:
+        s, out = self._settings, np.empty_like(self._mask)
+        weigh_mask(self._mask, read[-1], down, right, np.float32(s.by_likelihood), np.float32(s.likelihood_weight), out)
+        return out
+
+    def _count(self, rate: float, down: int, right: int) -> None:
+        """Take the histograms of target and background in the patch sampled last; the target is (down, right) off."""
+        inner, outer = self._box(0.8, down, right), self._box(1.2, down, right)
+        learn_light(self._patch, inner, outer, np.float32(rate), self._inside, self._outside, self._likelihood)
+
+    def _box(self, part: float, down: int, right: int) -> np.ndarray:
+        """First row, past-last row, first column, past-last column of this part of the target in the window."""
+        half, cell = self._settings.cells / 2, self._side(self._learned) / self._settings.cells
+        reach_y, reach_x = (part / 2 * self._learned[side] / cell for side in (HEIGHT, WIDTH))
+        rows, columns = (round(half - reach_y), round(half + reach_y)), (round(half - reach_x), round(half + reach_x))
+        return np.array([rows[0] + down, rows[1] + down, columns[0] + right, columns[1] + right])
+
+    def _target_mask(self, placement: np.ndarray) -> np.ndarray:
+        s, side = self._settings, self._side(placement)
+        away = np.abs((np.arange(s.cells) - (s.cells - 1) / 2) / s.cells * side)
+        fades = []
+        for size in (placement[HEIGHT], placement[WIDTH]):
+            t = np.clip((2 * away / size - s.flat) / (s.mask - s.flat), 0, 1)
+            fades.append(np.cos(np.pi / 2 * t) ** 2)
+        return np.outer(*fades).astype(np.float32)
+
+
+def _polar_window(s: LooseSettings) -> np.ndarray:
+    """Rises along the rings to near the outline and falls beyond it; the rays go all around and need no window."""
+    t = (np.arange(s.polar_cells) + 0.5) / s.polar_cells
+    rise, fall = (
+        np.sin(np.pi / 2 * t / s.polar_rise) ** 2,
+        np.cos(np.pi / 2 * (t - s.polar_rise) / (1 - s.polar_rise)) ** 2,
+    )
+    return np.repeat(np.where(t < s.polar_rise, rise, fall)[:, None], s.polar_cells, 1)

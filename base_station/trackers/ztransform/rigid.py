@@ -1,0 +1,117 @@
+"""Following what keeps its shape, to a fraction of a pixel: predict, refine by the learned maps, search when need be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
+from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH
+from base_station.trackers.ztransform.pyramid import Pyramid
+from base_station.trackers.ztransform.refinement import refine
+from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
+from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidSettings:
+    """The stages, and when a look is good enough to look no further."""
+
+    aspects: tuple[float, float] = (0.5, 1.3)
+    """Width against height, both against the learned ones: a picture that turned by 60 degrees is half as wide. What
+    looks flatter or wider is the refinement squeezing itself into what is left of a target that is being covered."""
+    beyond_doubt: float = 0.85
+    """A resemblance at which a search needs not look at further candidates."""
+    place_zooms: tuple[float, float] = (0.8, 1.25)
+    """A learned place is searched for in this range only."""
+    tolerance: float = 0.001
+    """In target widths: refining ends when a step is smaller."""
+    signature: SignatureSettings = field(default_factory=SignatureSettings)
+    """How a patch is read."""
+    regression: RegressionSettings = field(default_factory=RegressionSettings)
+    """How its changes are learned."""
+    acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
+    """How it is searched for."""
+
+
+ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
+"""In target heights. While lost, every frame looks about one other row, so that searching them all costs no more."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What looking gave. `share`: of the target that lies in the frame."""
+
+    placement: np.ndarray
+    confidence: float
+    share: float
+
+
+_FOLLOW = np.array([1, 2, 2, 2])
+_WIDER = np.array([0, 1, 2, 2])
+_FROM_SEARCH = np.array([1, 1, 2, 2])
+_FREE = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
+_FREE_PLACE = np.array([1.0, 1.0, -1.0, 1.0, 0.0])
+
+
+class RigidFollower:
+    """One picture, or one place. `learn` first."""
+
+    def __init__(self, settings: RigidSettings) -> None:
+        self._settings = settings
+        self._reader = SignatureReader(settings.signature)
+        self._acquisition = Acquisition(settings.acquisition)
+        cells = self._reader.cells
+        self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
+        self._signature = np.empty(self._reader.size, np.float32)
+
+    def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, float]:
+        """The patch at a placement, float32 (cells, cells), and the share of it that lies in the frame."""
+        patch, _, share = self._reader.patch(pyramid, placement, lens)
+        return patch, share
+
+    def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_place: bool) -> None:
+        """Remember what is at this placement, and how its signature changes when it moves."""
+        self._learned_at, self._is_place = placement.copy(), is_place
+        self._learned_patch, _ = self.read(pyramid, placement, lens)
+        self._learned_signature, _ = self._reader.signature(self._learned_patch)
+        self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
+        self._acquisition.learn(pyramid.image, placement, lens)
+
+    def follow(
+        self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
+    ) -> Look:
+        """Refine from the prediction; if that looks less like it than `enough`, from further afield."""
+        best = self._refine(pyramid, predicted, lens, _FOLLOW)
+        for start in (predicted, last):
+            if best.confidence < enough:
+                best = _better(best, self._refine(pyramid, start, lens, _WIDER))
+        return best
+
+    def search(self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int) -> Look:
+        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed."""
+        zooms = self._settings.place_zooms if self._is_place else None
+        best = Look(last, 0.0, 0.0)
+        turn = frames_lost % (len(ROW_SHIFTS) + 1)
+        rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
+        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
+            best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
+            if best.confidence > self._settings.beyond_doubt:
+                break
+        return best
+
+    def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
+        placement = start.copy()
+        confidence, share, _ = refine(
+            *self._reader.source(pyramid, start), lens, placement, self._learned_patch, self._learned_signature,
+            self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
+            self._patch, self._seen, self._signature, *self._reader.plan,
+        )  # fmt: skip
+        aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
+        low, high = self._settings.aspects
+        return Look(placement, float(confidence) if low <= aspect <= high else 0.0, float(share))
+
+
+def _better(one: Look, other: Look) -> Look:
+    return other if other.confidence > one.confidence else one
