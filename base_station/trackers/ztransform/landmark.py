@@ -64,7 +64,11 @@ class Landmark:
         column = (x - placement[X]) / placement[WIDTH] * BOX_CELLS + (CELLS - 1) / 2
         row = (y - placement[Y]) / placement[HEIGHT] * BOX_CELLS + (CELLS - 1) / 2
         image = cv2.remap(
-            np.float32(self.picture), np.float32(column), np.float32(row), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            self.picture.astype(np.float32),
+            column.astype(np.float32),
+            row.astype(np.float32),
+            cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
         )
         frame = Frame(image=np.clip(np.round(image), 0, 255).astype(np.uint8), number=0, time_s=0.0, camera=camera)
         return frame, None if self.box is None else Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))

@@ -15,6 +15,7 @@ believed if the full one (48 cells) agrees.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ import cv2
 import numpy as np
 
 from base_station.geometry import PinholeCamera
-from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y, inner, sample_patch
+from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y, inner
 from base_station.trackers.ztransform.landmark import (
     BOX_CELLS,
     CELLS,
@@ -34,30 +35,37 @@ from base_station.trackers.ztransform.landmark import (
 )
 from base_station.trackers.ztransform.lookup_kernels import best_positions, gather_profiles, inverse_lengths
 from base_station.trackers.ztransform.outline import lens_of, outline, place_placement, to_pixel
-from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
+from base_station.trackers.ztransform.poles import PoleSettings
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.refinement import refine
 from base_station.trackers.ztransform.regression import Disturbance, RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 from base_station.trackers.ztransform.texture import texture_of
+from base_station.trackers.ztransform.windows import (
+    BANDS,
+    COLUMN_STEP,
+    DESCRIPTOR_SIZE,
+    LEVEL_STEP,
+    SIDE,
+    WINDOWS,
+    Levels,
+    descriptor_at,
+)
 from base_station.types import Box, Frame
 
-SIDE, BANDS, FUNCTIONS = 12, 3, 8
-DESCRIPTOR_SIZE = 2 * BANDS * FUNCTIONS
-POLES = PoleSettings(count=3, longest_cells=3.0, shortest_cells=1.0)
 SMALL = SignatureSettings(
     cells=24, bands=2, anchors=3, spread=0.6, poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2)
 )
+SMALL_SIZE = SignatureReader(SMALL).size
 SMALL_REGRESSION = RegressionSettings(
     levels=(Disturbance(shift=0.12, log_zoom=0.12, log_aspect=0.06, keystone=0.06),), samples=250
 )
-LEVELS_PER_OCTAVE = 5
-LEVEL_STEP = 2 ** (1 / LEVELS_PER_OCTAVE)
-SMALLEST_CELL_PX = 3.0
-SIZES = (0.96 * 2 ** (-1 / 20), 0.96 * 2 ** (1 / 20))
+SIZES = (2 ** (-1 / 20), 2 ** (1 / 20))
 """Of the windows that describe a landmark: between them they halve the step of the levels."""
-ROW_STEP, COLUMN_STEP = 3, 2
-"""In cells: how far apart the windows are that are looked at."""
+BLOCK_LEVELS = 3
+ROW_STEP = 3
+"""In cells: how far apart the rows of windows are."""
+_BOX = slice((CELLS - BOX_CELLS) // 2, (CELLS + BOX_CELLS) // 2)
 _FREE, _FREE_PLACE = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0, 1.0, 0.0])
 _ONE_STEP, _TWO_STEPS = np.zeros(1, np.int64), np.zeros(2, np.int64)
 
@@ -71,8 +79,10 @@ class LookupSettings:
     place_zooms: tuple[float, float] = (0.8, 1.25)
     place_window: float = 0.6
     """A place is first looked for by its middle; this share of the frame's height."""
-    candidates: int = 14
+    candidates: int = 16
     """How many landmarks the full comparison is made for."""
+    resemblance: float = 0.69
+    """Of the descriptors (normalised correlation); with less no comparison is made."""
     worth_a_step: float = 0.3
     """Confidence on the small signature after one step of refinement, from which on another is made."""
     worth_a_look: float = 0.6
@@ -93,6 +103,8 @@ class Sighting:
 
     landmark: Landmark
     confidence: float
+    placement: np.ndarray
+    """See `kernels`."""
     bearing_rad: float
     elevation_rad: float
     zoom: float
@@ -113,6 +125,8 @@ class _Group:
     """Of each member the first level in its range of zooms."""
     high: np.ndarray
     """One after the last."""
+    blocks: tuple[tuple[int, int], ...]
+    """Members, by their first level, that are compared in one product: who is large needs not the fine levels."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +134,7 @@ class _Plan:
     """What a look-up needs of all landmarks, for one camera."""
 
     camera: PinholeCamera
+    only: str | None
     landmarks: list[Landmark]
     placements: np.ndarray
     owners: np.ndarray
@@ -131,41 +146,6 @@ class _Plan:
     groups: list[_Group]
 
 
-class _Levels:
-    """A frame of this size in cells of 3 px and coarser, while a window fits in: an octave of levels, then their halves.
-
-    `cells`: all of them, float32, one after the other; the other fields say where and how large.
-    """
-
-    def __init__(self, rows: int, columns: int) -> None:
-        sizes = [SMALLEST_CELL_PX * 2 ** (n / LEVELS_PER_OCTAVE) for n in range(LEVELS_PER_OCTAVE)]
-        shapes = [(round(rows / size), round(columns / size)) for size in sizes]
-        scale = [(rows / down, columns / across) for down, across in shapes]
-        while shapes[-LEVELS_PER_OCTAVE][0] // 2 >= SIDE and shapes[-LEVELS_PER_OCTAVE][1] // 2 >= SIDE:
-            down, across = shapes[-LEVELS_PER_OCTAVE]
-            cell_y, cell_x = scale[-LEVELS_PER_OCTAVE]
-            shapes.append((down // 2, across // 2))
-            scale.append((2 * cell_y, 2 * cell_x))
-        self.heights, self.widths = np.array(shapes, np.int64).T.copy()
-        self.cell_y_px, self.cell_x_px = np.array(scale).T.copy()
-        self.offsets = np.concatenate([[0], np.cumsum(self.heights * self.widths)])[:-1].astype(np.int64)
-        self.cells = np.empty(int((self.heights * self.widths).sum()), np.float32)
-        self._views = [
-            self.cells[offset : offset + down * across].reshape(down, across)
-            for offset, (down, across) in zip(self.offsets, shapes, strict=True)
-        ]
-
-    def read(self, pyramid: Pyramid) -> None:
-        """Fill `cells`."""
-        for n, view in enumerate(self._views):
-            if n < LEVELS_PER_OCTAVE:
-                source = pyramid.at(4 if self.cell_x_px[n] >= 4.3 else 2)
-                view[:] = cv2.resize(source, view.shape[::-1], interpolation=cv2.INTER_LINEAR)
-            else:
-                finer = self._views[n - LEVELS_PER_OCTAVE][: 2 * view.shape[0], : 2 * view.shape[1]]
-                cv2.resize(finer, view.shape[::-1], dst=view, interpolation=cv2.INTER_AREA)
-
-
 class LandmarkMemory:
     """Landmarks by name. All of them are looked for together."""
 
@@ -174,7 +154,7 @@ class LandmarkMemory:
         self._small, self._full = SignatureReader(SMALL), SignatureReader(SignatureSettings())
         self._landmarks: dict[str, Landmark] = {}
         self._plan: _Plan | None = None
-        self._levels: _Levels | None = None
+        self._levels: Levels | None = None
         self._profiles = np.empty((0, 0), np.float32)
 
     def __len__(self) -> int:
@@ -226,14 +206,16 @@ class LandmarkMemory:
         self.add(landmark)
         return landmark
 
-    def find(self, frame: Frame) -> list[Sighting]:
-        """The landmarks that this frame shows, the surest first. Where two lie on the same spot, the surer one."""
-        if not self._landmarks:
+    def find(self, frame: Frame, *, only: str | None = None) -> list[Sighting]:
+        """The landmarks that this frame shows, the surest first. Where two lie on the same spot, the surer one.
+
+        `only`: look for this one alone, which takes a fraction of the time.
+        """
+        landmarks = self.landmarks if only is None else [self._landmarks[only]]
+        if not landmarks:
             return []
-        pyramid, plan = Pyramid(frame.image), self._planned(frame.camera)
-        sightings = [
-            self._verify(pyramid, plan, number, start) for number, start in self._candidates(pyramid, plan)
-        ]
+        pyramid, plan = Pyramid(frame.image), self._planned(frame.camera, landmarks, only)
+        sightings = [self._verify(pyramid, plan, number, start) for number, start in self._candidates(pyramid, plan)]
         seen = [sighting for sighting in sightings if sighting is not None]
         kept: list[Sighting] = []
         for sighting in sorted(seen, key=lambda s: -s.confidence):
@@ -253,7 +235,9 @@ class LandmarkMemory:
         if min(box.width, box.height) < self._settings.smallest_side_px:
             raise ValueError(f"too small: {box.width:.0f}x{box.height:.0f} px")
 
-    def _windows_of(self, placement: np.ndarray, camera: PinholeCamera, *, is_place: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _windows_of(
+        self, placement: np.ndarray, camera: PinholeCamera, *, is_place: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The squares that are described: the middle of the placement in the flat picture, in two sizes.
 
         Returns their sides in px, and their uppermost rows in cells from the horizon. The rows are rounded, so that
@@ -266,11 +250,11 @@ class LandmarkMemory:
         rows = SIDE * ((placement[Y] - camera.cy) / sides - 0.5)
         return sides, (np.round(rows / ROW_STEP) * ROW_STEP).astype(int)
 
-    def _planned(self, camera: PinholeCamera) -> _Plan:
+    def _planned(self, camera: PinholeCamera, landmarks: list[Landmark], only: str | None) -> _Plan:
         """Group the landmarks by their row, for this camera; done again only when one of them changed."""
-        if self._plan is not None and self._plan.camera == camera:
+        if self._plan is not None and self._plan.camera == camera and self._plan.only == only:
             return self._plan
-        settings, landmarks, levels = self._settings, self.landmarks, _Levels(camera.height, camera.width)
+        settings, levels = self._settings, Levels(camera.height, camera.width)
         placements = np.stack([landmark.placement(camera) for landmark in landmarks])
         is_place = np.array([landmark.box is None for landmark in landmarks])
         windows = [
@@ -286,12 +270,15 @@ class LandmarkMemory:
         groups = []
         for row in np.unique(rows):
             members = np.flatnonzero(rows == row)
+            members = members[np.argsort(low[members], kind="stable")]
             tops = np.round((camera.cy + 0.5) / levels.cell_y_px + row).astype(np.int64)
             tops[(tops < 0) | (tops > levels.heights - SIDE)] = -1
             tops[: low[members].min()] = tops[high[members].max() :] = -1
             positions = int(np.maximum((levels.widths - SIDE) // COLUMN_STEP + 1, 0)[tops >= 0].sum())
-            groups.append(_Group(members, descriptors[members], tops, positions, low[members], high[members]))
-        self._plan, self._levels = _Plan(camera, landmarks, placements, owners, sides, rows, groups), levels
+            cuts = np.flatnonzero(np.diff(low[members] // BLOCK_LEVELS)) + 1
+            blocks = tuple(itertools.pairwise([0, *(int(cut) for cut in cuts), len(members)]))
+            groups.append(_Group(members, descriptors[members], tops, positions, low[members], high[members], blocks))
+        self._plan, self._levels = _Plan(camera, only, landmarks, placements, owners, sides, rows, groups), levels
         room = int(np.maximum((levels.widths - SIDE) // COLUMN_STEP + 1, 0).sum())
         self._profiles = np.empty(SIDE * 2 * BANDS * room, np.float32)
         return self._plan
@@ -302,25 +289,30 @@ class LandmarkMemory:
         assert levels is not None
         levels.read(pyramid)
         count = len(plan.owners)
-        score, level, column, top = np.empty(count, np.float32), *(np.empty(count, np.int64) for _ in range(3))
+        score = np.empty(count, np.float32)
+        level, column, top = (np.empty(count, np.int64) for _ in range(3))
         starts = np.empty(len(levels.widths) + 1, np.int64)
         for group in plan.groups:
             members, room = len(group.members), group.positions
             profiles = self._profiles[: SIDE * 2 * BANDS * room].reshape(SIDE, 2 * BANDS, room)
-            gather_profiles(
-                levels.cells, levels.offsets, levels.widths, group.tops, SIDE, BANDS, profiles, starts
-            )
+            gather_profiles(levels.cells, levels.offsets, levels.widths, group.tops, SIDE, BANDS, profiles, starts)
             read = (WINDOWS @ profiles.reshape(SIDE, -1)).reshape(DESCRIPTOR_SIZE, room)
             inverse = np.empty(room, np.float32)
             inverse_lengths(read, inverse)
             best, best_score = np.empty(members, np.int64), np.empty(members, np.float32)
-            best_positions(group.descriptors @ read, inverse, starts, group.low, group.high, best, best_score)
+            for begin, end in group.blocks:
+                first = int(starts[group.low[begin]])
+                part = slice(begin, end)
+                best_positions(
+                    group.descriptors[part] @ read[:, first:], inverse, first, starts, group.low[part],
+                    group.high[part], best[part], best_score[part],
+                )  # fmt: skip
             at = np.searchsorted(starts, best, side="right") - 1
             score[group.members], level[group.members] = best_score, at
             column[group.members], top[group.members] = (best - starts[at]) * COLUMN_STEP, group.tops[at]
         candidates: dict[int, np.ndarray] = {}
         for i in np.argsort(-score):
-            if score[i] <= 0 or len(candidates) == self._settings.candidates:
+            if score[i] < self._settings.resemblance or len(candidates) == self._settings.candidates:
                 break
             if plan.owners[i] not in candidates:
                 candidates[int(plan.owners[i])] = self._start(plan, i, level[i], column[i], top[i])
@@ -345,7 +337,7 @@ class LandmarkMemory:
         """float32 (2, 48), one for each size."""
         sides, rows = self._windows_of(placement, camera, is_place=is_place)
         out = [
-            _descriptor(pyramid, np.array([placement[X], camera.cy + (row / SIDE + 0.5) * side, side, side, 0.0]))
+            descriptor_at(pyramid, np.array([placement[X], camera.cy + (row / SIDE + 0.5) * side, side, side, 0.0]))
             for side, row in zip(sides, rows, strict=True)
         ]
         return np.stack(out)
@@ -360,10 +352,10 @@ class LandmarkMemory:
         signature, placement = self._small.signature(patch)[0], start.copy()
         cells, step_map = self._small.cells, landmark.step_map.astype(np.float32)[None]
         scratch = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8), np.empty_like(signature)
-        confidence, share = 0.0, 0.0
+        confidence, share, source = 0.0, 0.0, self._small.source(pyramid, placement)
         for least, turns in ((settings.worth_a_step, _ONE_STEP), (settings.worth_a_look, _TWO_STEPS)):
             confidence, share, _ = refine(
-                *self._small.source(pyramid, placement), lens, placement, patch, signature, step_map, turns,
+                *source, lens, placement, patch, signature, step_map, turns,
                 _FREE_PLACE if is_place else _FREE, 0.002, *scratch, *self._small.plan,
             )  # fmt: skip
             if confidence < least or share < settings.least_share:
@@ -376,44 +368,12 @@ class LandmarkMemory:
         return Sighting(
             landmark=landmark,
             confidence=min(confidence, 1.0),
+            placement=placement,
             bearing_rad=camera.bearing_rad(x),
             elevation_rad=camera.elevation_rad(y),
             zoom=float(placement[HEIGHT] / plan.placements[number][HEIGHT]),
             box=outline(placement, lens),
         )
-
-
-def _windows() -> np.ndarray:
-    """What a profile of 12 cells is read with: central difference, then second-order poles about the middle.
-
-    float32 (8, 12): the eight strongest orthogonal combinations of them, from their singular value decomposition.
-    """
-    difference = np.zeros((SIDE, SIDE))
-    for n in range(1, SIDE - 1):
-        difference[n, n + 1], difference[n, n - 1] = 0.5, -0.5
-    u = np.arange(SIDE) - (SIDE - 1) / 2
-    read = []
-    for pole, weight in zip(spiral_poles(POLES), scale_weights(POLES), strict=True):
-        for side in (u, -u):
-            window = np.where(side > 0, side * pole ** np.maximum(side, 0), 0) * weight
-            read += [window.real, window.imag]
-    _, strength, directions = np.linalg.svd(np.array(read) @ difference)
-    return (strength[:FUNCTIONS, None] * directions[:FUNCTIONS]).astype(np.float32)
-
-
-WINDOWS = _windows()
-_BOX = slice((CELLS - BOX_CELLS) // 2, (CELLS + BOX_CELLS) // 2)
-
-
-def _descriptor(pyramid: Pyramid, window: np.ndarray) -> np.ndarray:
-    """float32 (48,) of this square of a flat picture."""
-    patch, seen = np.empty((SIDE, SIDE), np.float32), np.empty((SIDE, SIDE), np.uint8)
-    image, scale, reads = pyramid.for_cell(window[WIDTH] / SIDE)
-    sample_patch(image, scale, window, np.zeros(4), reads, patch, seen)
-    none, profiles = np.zeros(1, np.int64), np.empty((SIDE, 2 * BANDS, 1), np.float32)
-    gather_profiles(patch.ravel(), none, none + SIDE, none, SIDE, BANDS, profiles, np.empty(2, np.int64))
-    read = WINDOWS @ profiles.reshape(SIDE, -1)
-    return np.asarray(read.ravel() / max(float(np.sqrt((read**2).sum())), 1e-3), np.float32)
 
 
 def _same_spot(one: Sighting, other: Sighting) -> bool:

@@ -62,17 +62,18 @@ def inverse_lengths(read, inverse):
 
 
 @njit(cache=True, fastmath=True)
-def best_positions(products, inverse, starts, low, high, best, best_score):
+def best_positions(products, inverse, first, starts, low, high, best, best_score):
     """Of each row of `products` (landmarks, positions) the best position in levels low..high; -1 if there is none.
 
-    A score is the product times `inverse`, see above. `starts`: as `gather_profiles` fills it.
+    A score is the product times `inverse`, see above. `products` begin with position `first`; `starts`: as
+    `gather_profiles` fills it.
     """
     for i in range(products.shape[0]):
         best[i] = -1
         highest = np.float32(-1.0)
         line = products[i]
         for k in range(starts[low[i]], starts[high[i]]):
-            score = line[k] * inverse[k]
+            score = line[k - first] * inverse[k]
             if score > highest:
                 highest = score
                 best[i] = k

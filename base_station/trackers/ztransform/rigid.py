@@ -46,6 +46,8 @@ class Look:
     placement: np.ndarray
     confidence: float
     share: float
+    tells_angle: bool = False
+    """Width, height and keystone of the placement were measured each for itself."""
 
 
 _FOLLOW = np.array([1, 2, 2, 2])
@@ -110,7 +112,9 @@ class RigidFollower:
         )  # fmt: skip
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
-        return Look(placement, float(confidence) if low <= aspect <= high else 0.0, float(share))
+        return Look(
+            placement, float(confidence) if low <= aspect <= high else 0.0, float(share), tells_angle=not self._is_place
+        )
 
 
 def _better(one: Look, other: Look) -> Look:

@@ -112,6 +112,12 @@ class ZTransformTracker:
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s, self._frames = False, 0, frame.time_s, 0
 
+    def expect(self, placement: np.ndarray, time_s: float) -> None:
+        """The learned target is about here now, says who recognised it, and keeps its shape. See `kernels`."""
+        self._motion.start(placement, time_s)
+        self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
+        self._is_loose, self._frames_firm, self._firm_s = False, self._settings.proven_frames, time_s
+
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
         learned = self._learned
@@ -196,7 +202,8 @@ class ZTransformTracker:
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
         placement = sighting.placement if proven else self._loose.adapt(pyramid)
         self._is_loose = not proven
-        return Look(placement, sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness), 1.0)
+        confidence = sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness)
+        return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
         p, settings = look.placement, self._settings
@@ -226,7 +233,7 @@ class ZTransformTracker:
             bearing_rad=frame.camera.bearing_rad(x),
             elevation_rad=frame.camera.elevation_rad(y),
             zoom=float(p[HEIGHT] / learned.placement[HEIGHT]),
-            view_angle_rad=None if learned.is_place else view_angle_rad(p, learned.placement, lens),
+            view_angle_rad=view_angle_rad(p, learned.placement, lens) if look.tells_angle else None,
             confidence=min(max(look.confidence, 0.0), 1.0),
             box=outline(p, lens),
         )
