@@ -27,6 +27,7 @@ from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.evaluation.picture import RunPicture
+from base_station.evaluation.tracking_command import Evaluate, evaluate
 from base_station.link import Link, LinkSettings
 from base_station.results import ResultsFile
 from base_station.station import Station, StationSettings, Step
@@ -45,7 +46,7 @@ class Run:
     """Connect to a robot, watch its pictures with a tracker and drive it."""
 
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
-    """ztransform, phase, or one of your own: path/to/file.py:ClassName."""
+    """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
     """follow, idle, pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
     target: str | None = None
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers,
+            Run | Score | Evaluate | Trackers,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -110,6 +111,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(command, console)
         if isinstance(command, Score):
             return _score(command)
+        if isinstance(command, Evaluate):
+            evaluate(command)
+            return EXIT_DONE
         print("\n".join(tracker_names()))
         return EXIT_DONE
     except KeyboardInterrupt:

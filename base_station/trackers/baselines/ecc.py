@@ -41,9 +41,9 @@ class EccTracker(PatchTracker):
         super().__init__()
         self._settings = settings or EccSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         share = self._settings.place_share if learned.is_place else 1.0
-        rows, columns = (max(round(side * share), 1) for side in learned.patch.shape)
+        rows, columns = (max(round(side * share), 1) for side in learned.shape)
         self._template = cv2.getRectSubPix(image, (columns, rows), learned.center_px)
         self._start = _placed(self._template.shape, *learned.center_px, 1.0)
 
