@@ -67,8 +67,6 @@ class EccTracker(PatchTracker):
         template, picture = _shrunk(self._template, smaller), _shrunk(image, smaller)
         inner = np.vstack([warp, (0, 0, 1)])
         start = np.ascontiguousarray((_shrinking(smaller) @ inner @ np.linalg.inv(_shrinking(smaller)))[:2], np.float32)
-        if motion == cv2.MOTION_TRANSLATION:
-            start[:, :2] = np.eye(2)
         criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, s.iterations, s.least_gain)
         try:
             correlation, better = cv2.findTransformECC(
