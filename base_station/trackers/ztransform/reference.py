@@ -159,8 +159,8 @@ def score_positions(fields: np.ndarray, learned: np.ndarray, anchors: np.ndarray
 def phase_channels(patch: np.ndarray, poles: np.ndarray, across: np.ndarray, floor: float) -> np.ndarray:
     """Phase channels of a square patch, complex, shape (2 scales, cells, cells): down the rows, then along them.
 
-    Of the central difference (twice it), smoothed across by a real pole both ways, sum u p^u d[m + u] plus the conjugate
-    of sum u p^u d[m - u]; divided by its own size plus `floor` times the root mean square of the sizes.
+    Of the central difference (twice it), smoothed across by a real pole both ways, sum u p^u d[m + u] plus the
+    conjugate of sum u p^u d[m - u]; divided by its own size plus `floor` times the root mean square of the sizes.
     """
     cells = len(patch)
     distance = np.arange(cells)[None] - np.arange(cells)[:, None]

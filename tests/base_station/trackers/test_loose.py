@@ -1,4 +1,4 @@
-"""Loose targets: the channels mean what the reference says, the filters find shifts and sizes, and nothing is made up."""
+"""Loose targets: the channels mean what the reference says, the filters find shifts and sizes, nothing is made up."""
 
 from __future__ import annotations
 
