@@ -120,8 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers | Robots,
-            Run | Score | Evaluate | Trackers,
+            Run | Score | Evaluate | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
