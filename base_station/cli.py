@@ -31,6 +31,7 @@ from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.evaluation.picture import RunPicture
+from base_station.evaluation.tracking_command import Evaluate, evaluate
 from base_station.geometry import PinholeCamera
 from base_station.link import Link, LinkSettings
 from base_station.results import ResultsFile
@@ -51,7 +52,7 @@ class Run:
     """Connect to a robot, watch its pictures with a tracker and drive it."""
 
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
-    """ztransform, phase, or one of your own: path/to/file.py:ClassName."""
+    """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
     """follow, goto (back to where the target was learned), idle, pattern (listing A.2's drive) or teleop (w a s d or
     arrow keys)."""
@@ -119,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Trackers | Robots,
+            Run | Score | Evaluate | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -135,6 +136,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _score(command)
         if isinstance(command, Robots):
             return _robots(command)
+        if isinstance(command, Evaluate):
+            evaluate(command)
+            return EXIT_DONE
         print("\n".join(tracker_names()))
         return EXIT_DONE
     except KeyboardInterrupt:

@@ -41,9 +41,9 @@ class EccTracker(PatchTracker):
         super().__init__()
         self._settings = settings or EccSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         share = self._settings.place_share if learned.is_place else 1.0
-        rows, columns = (max(round(side * share), 1) for side in learned.patch.shape)
+        rows, columns = (max(round(side * share), 1) for side in learned.shape)
         self._template = cv2.getRectSubPix(image, (columns, rows), learned.center_px)
         self._start = _placed(self._template.shape, *learned.center_px, 1.0)
 
@@ -67,8 +67,6 @@ class EccTracker(PatchTracker):
         template, picture = _shrunk(self._template, smaller), _shrunk(image, smaller)
         inner = np.vstack([warp, (0, 0, 1)])
         start = np.ascontiguousarray((_shrinking(smaller) @ inner @ np.linalg.inv(_shrinking(smaller)))[:2], np.float32)
-        if motion == cv2.MOTION_TRANSLATION:
-            start[:, :2] = np.eye(2)
         criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, s.iterations, s.least_gain)
         try:
             correlation, better = cv2.findTransformECC(

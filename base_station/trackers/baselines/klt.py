@@ -40,17 +40,17 @@ class KltTracker(PatchTracker):
         super().__init__()
         self._settings = settings or KltSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         s = self._settings
         x, y = learned.center_px
-        rows, columns = learned.patch.shape
+        rows, columns = learned.shape
         mask = np.zeros(image.shape, np.uint8)
         left, top = round(x - (columns - 1) / 2), round(y - (rows - 1) / 2)
         mask[max(top, 0) : top + rows, max(left, 0) : left + columns] = 255
         corners = cv2.goodFeaturesToTrack(image, s.corners, s.corner_quality, s.corner_distance_px, mask=mask)
         if corners is None or len(corners) < LEAST_INLIERS:
             raise ValueError(f"featureless: fewer than {LEAST_INLIERS} corners")
-        self._image, self._corners = image, corners.reshape(-1, 2)
+        self._image, self._patch, self._corners = image, patch, corners.reshape(-1, 2)
 
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
         x, y = learned.center_px
@@ -60,7 +60,7 @@ class KltTracker(PatchTracker):
         motion = fit_similarity(learned_corners, seen)
         if motion is None:
             return Missed(f"the target is hidden or gone ({len(seen)} of {len(self._corners)} corners found)")
-        alike = agreement(learned.patch, _straightened(image, motion.matrix, learned))
+        alike = agreement(self._patch, _straightened(image, motion.matrix, learned))
         if alike < self._settings.least_agreement:
             return gone(alike)
         now_x, now_y = motion.moved(x, y)
@@ -84,7 +84,7 @@ class KltTracker(PatchTracker):
 
 def _straightened(image: np.ndarray, matrix: np.ndarray, learned: Learned) -> np.ndarray:
     """The present picture as the learned patch would show it, less its mean."""
-    rows, columns = learned.patch.shape
+    rows, columns = learned.shape
     corner = np.array([[1, 0, learned.center_px[0] - (columns - 1) / 2], [0, 1, learned.center_px[1] - (rows - 1) / 2]])
     to_present = matrix @ np.vstack([corner, (0, 0, 1)])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

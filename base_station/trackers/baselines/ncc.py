@@ -31,8 +31,8 @@ class NccTracker(PatchTracker):
         super().__init__()
         self._settings = settings or NccSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
-        rows, columns = learned.patch.shape
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        rows, columns = learned.shape
         if learned.is_place or rows > image.shape[0] - 2 or columns > image.shape[1] - 2:
             share = self._settings.place_share
             rows, columns = max(round(rows * share), 1), max(round(columns * share), 1)

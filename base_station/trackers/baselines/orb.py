@@ -38,9 +38,9 @@ class OrbTracker(PatchTracker):
         self._orb = cv2.ORB.create(nfeatures=self._settings.features, fastThreshold=self._settings.fast_threshold)
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         x, y = learned.center_px
-        rows, columns = learned.patch.shape
+        rows, columns = learned.shape
         points, descriptors = self._features(image)
         inside = (np.abs(points - (x, y)) <= (columns / 2, rows / 2)).all(1)
         if int(inside.sum()) < LEAST_INLIERS:

@@ -1,7 +1,7 @@
 """What the baselines share: a patch that was learned, where it was last, and when there is nothing to say.
 
-A baseline tells how it finds the patch in a picture (`_look`), and if need be what more it remembers (`_prepare`). The
-checks, the reasons and the conversion to a result stand here. A learned place is the patch that fills the view.
+A baseline tells what it remembers of the patch (`_prepare`) and how it finds it in a picture (`_look`). The checks, the
+reasons and the conversion to a result stand here. A learned place is the patch that fills the view.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ SMALLEST_SIDE_PX = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """`patch`: float32 (rows, columns), less its mean. `center_px`: of the patch, in the frame of this shape."""
+    """`shape`: rows and columns of the patch. `center_px`: of the patch, in the frame of this shape."""
 
-    patch: np.ndarray
+    shape: tuple[int, int]
     center_px: tuple[float, float]
     frame_shape: tuple[int, int]
     is_place: bool
@@ -69,8 +69,10 @@ class PatchTracker(ABC):
         patch = cut(frame.image, x, y, columns, rows)
         if float(patch.std()) < LEAST_CONTRAST:
             raise ValueError(f"featureless: the target's contrast is {patch.std():.1f} grey levels")
-        learned = Learned(patch=patch, center_px=(x, y), frame_shape=frame.image.shape, is_place=target is None)
-        self._prepare(frame.image, learned)
+        learned = Learned(
+            shape=(rows, columns), center_px=(x, y), frame_shape=frame.image.shape, is_place=target is None
+        )
+        self._prepare(frame.image, patch, learned)
         self._learned, self._last = learned, Found(x=x, y=y, confidence=1.0)
 
     def update(self, frame: Frame) -> TrackerResult:
@@ -96,8 +98,10 @@ class PatchTracker(ABC):
         """Let go of what was learned."""
         self._learned = None
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:  # noqa: B027 (most need nothing more)
-        """Remember what is needed besides the patch. Raises ValueError when this cannot be tracked."""
+    @abstractmethod
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        """Remember what is needed of the picture, or of the patch (as `cut` gives it). Raises ValueError when this
+        cannot be tracked."""
 
     @abstractmethod
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
@@ -134,7 +138,7 @@ def _is_outside(found: Found, shape: tuple[int, int]) -> bool:
 
 
 def _tracked(found: Found, learned: Learned, frame: Frame) -> TrackerResult:
-    (rows, columns), zoom = learned.patch.shape, found.zoom or 1.0
+    (rows, columns), zoom = learned.shape, found.zoom or 1.0
     y, there = found.y, learned.center_px
     return TrackerResult(
         state=TrackingState.TRACKING,

@@ -41,19 +41,20 @@ class PhaseTracker(PatchTracker):
         super().__init__()
         self._settings = settings or PhaseSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
-        self._window = cv2.createHanningWindow(learned.patch.shape[::-1], cv2.CV_32F)
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        self._patch = patch
+        self._window = cv2.createHanningWindow(learned.shape[::-1], cv2.CV_32F)
 
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
         last_y = learned.center_px[1] if self._last.y is None else self._last.y
         x, y = learned.center_px if learned.is_place else (self._last.x, last_y)
-        rows, columns = learned.patch.shape
+        rows, columns = learned.shape
         patch = cut(image, x, y, columns, rows)
         if float(patch.std()) < LEAST_CONTRAST:
             return Missed(f"featureless: contrast {patch.std():.1f} grey levels")
-        (dx, dy), response = cv2.phaseCorrelate(learned.patch, patch, self._window)
+        (dx, dy), response = cv2.phaseCorrelate(self._patch, patch, self._window)
         if response < self._settings.least_response:
             return Missed(f"the target is hidden or gone (response {response:.2f})", response)
         x, y = x + dx, y + dy
-        alike = agreement(learned.patch * self._window, cut(image, x, y, columns, rows) * self._window)
+        alike = agreement(self._patch * self._window, cut(image, x, y, columns, rows) * self._window)
         return Found(x=x, y=y, confidence=alike) if alike >= self._settings.least_agreement else gone(alike)

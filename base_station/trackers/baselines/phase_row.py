@@ -42,10 +42,10 @@ class PhaseRowTracker(PatchTracker):
         super().__init__()
         self._settings = settings or PhaseRowSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
-        columns = learned.patch.shape[1]
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        columns = learned.shape[1]
         self._window = np.hanning(columns + 2)[1:-1].astype(np.float32)
-        self._bands = self._read(learned.patch)
+        self._bands = self._read(patch)
         if float(self._bands.std()) < LEAST_CONTRAST / 2:
             raise ValueError(f"featureless: the rows' contrast is {self._bands.std():.1f} grey levels")
 
@@ -56,7 +56,7 @@ class PhaseRowTracker(PatchTracker):
         return np.asarray((bands - bands.mean(1, keepdims=True)) * self._window)
 
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
-        (rows, columns), y = learned.patch.shape, learned.center_px[1]
+        (rows, columns), y = learned.shape, learned.center_px[1]
         x = learned.center_px[0] if learned.is_place else self._last.x
         for _ in range(self._settings.passes):
             x += _shift_px(self._bands, self._read(cut(image, x, y, columns, rows)))

@@ -31,8 +31,8 @@ class RatSlamTracker(PatchTracker):
         super().__init__()
         self._settings = settings or RatSlamSettings()
 
-    def _prepare(self, image: np.ndarray, learned: Learned) -> None:
-        rows, columns = learned.patch.shape
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        rows, columns = learned.shape
         if learned.is_place:
             columns = max(round(columns * self._settings.place_share), 1)
         x, y = learned.center_px

@@ -154,3 +154,32 @@ def score_positions(fields: np.ndarray, learned: np.ndarray, anchors: np.ndarray
         if (there**2).sum() >= least_share * (learned**2).sum():
             scores[m] = (here * there).sum() / np.sqrt((here**2).sum() * (there**2).sum() + 1e-9)
     return scores
+
+
+def phase_channels(patch: np.ndarray, poles: np.ndarray, across: np.ndarray, floor: float) -> np.ndarray:
+    """Phase channels of a square patch, complex, shape (2 scales, cells, cells): down the rows, then along them.
+
+    Of the central difference (twice it), smoothed across by a real pole both ways, sum u p^u d[m + u] plus the
+    conjugate of sum u p^u d[m - u]; divided by its own size plus `floor` times the root mean square of the sizes.
+    """
+    cells = len(patch)
+    distance = np.arange(cells)[None] - np.arange(cells)[:, None]
+    out = []
+    for turned in (False, True):
+        padded = np.pad((patch.T if turned else patch).astype(float), ((1, 1), (0, 0)), "edge")
+        difference = padded[2:] - padded[:-2]
+        for p, q in zip(poles, across, strict=True):
+            smooth = _smoothed(_smoothed(difference.T, q)[::-1], q)[::-1].T
+            window = np.where(distance > 0, distance * p ** np.maximum(distance, 0), 0)
+            value = window @ smooth + np.conj(window.T @ smooth)
+            value /= np.abs(value) + floor * np.sqrt((np.abs(value) ** 2).mean()) + 1e-6
+            out.append(value.T if turned else value)
+    return np.stack(out)
+
+
+def _smoothed(rows: np.ndarray, pole: float) -> np.ndarray:
+    """y[n] = (1 - pole) x[n] + pole y[n - 1], beginning with x[0]."""
+    out = rows.astype(float)
+    for n in range(1, len(rows)):
+        out[n] = (1 - pole) * rows[n] + pole * out[n - 1]
+    return out

@@ -1,4 +1,4 @@
-"""Following what keeps its shape, to a fraction of a pixel: predict, refine by the learned maps, search when need be."""
+"""Following what keeps its shape, to a fraction of a pixel: predict, refine by the maps, search when need be."""
 
 from __future__ import annotations
 

@@ -152,16 +152,20 @@ class ZTransformTracker:
             if kept and usual and (self._learned.is_place or followed.confidence >= settings.firm):
                 self._seen_firm(pyramid, followed, time_s)
                 return followed, True
-        if not self._learned.is_place and (near or self._is_loose or not self._is_proven):
+        if self._is_loose:
             loose = self._follow_loose(pyramid, time_s)
             if loose is not None:
                 return loose, True
-        if self._is_loose and self._is_tracking:
-            return Look(self._motion.last, 0.0, 0.0), False
+            if self._is_tracking:
+                return Look(self._motion.last, 0.0, 0.0), False
         found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
             self._seen_firm(pyramid, found, time_s)
             return found, True
+        if not (self._learned.is_place or self._is_loose) and (near or not self._is_proven):
+            loose = self._follow_loose(pyramid, time_s)
+            if loose is not None:
+                return loose, True
         if followed:
             return followed, kept
         return found, False

@@ -10,6 +10,7 @@ from base_station.behaviours.base import Drive
 from base_station.behaviours.registry import BEHAVIOURS, BehaviourContext, check_behaviour, make_behaviour
 from base_station.behaviours.scripted import Idle, Pattern
 from base_station.behaviours.teleop import Teleop, TeleopSettings
+from base_station.geometry import PinholeCamera
 from base_station.types import TrackerResult, TrackingState
 from protocol import STOP, Command, RobotLimits
 
@@ -104,7 +105,9 @@ def test_the_newest_key_counts_and_another_key_stops_at_once():
 
 def test_every_behaviour_of_the_registry_can_be_made_and_stands_before_anything_is_learned():
     for name in BEHAVIOURS:
-        made = make_behaviour(name, BehaviourContext(drive=DRIVE, keys=queue.SimpleQueue()))
+        made = make_behaviour(
+            name, BehaviourContext(drive=DRIVE, keys=queue.SimpleQueue(), camera=PinholeCamera.with_fov(640, 480))
+        )
         assert made.command(None, 0.0) == (Command(100, 100) if name == "pattern" else STOP)
 
 
@@ -112,5 +115,7 @@ def test_an_unknown_behaviour_is_answered_with_those_there_are_and_the_nearest()
     with pytest.raises(ValueError, match=r"no behaviour 'folow'; there are follow, .*teleop.* you meant follow\."):
         check_behaviour("folow")
     with pytest.raises(ValueError, match="there are follow") as caught:
-        make_behaviour("zzz", BehaviourContext(drive=DRIVE, keys=queue.SimpleQueue()))
+        make_behaviour(
+            "zzz", BehaviourContext(drive=DRIVE, keys=queue.SimpleQueue(), camera=PinholeCamera.with_fov(640, 480))
+        )
     assert "meant" not in str(caught.value)
