@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -33,9 +33,17 @@ from base_station.evaluation.overlap import read_results, read_truth, score_boxe
 from base_station.evaluation.picture import RunPicture
 from base_station.evaluation.tracking_command import Evaluate, evaluate
 from base_station.geometry import PinholeCamera
+from base_station.landmarks_command import (
+    DEFAULT_MEMORY,
+    Landmarks,
+    landmarks,
+    parse_box,
+    scale_of,
+    unknown_text,
+)
 from base_station.link import Link, LinkSettings
 from base_station.results import ResultsFile
-from base_station.scale import Scale, scale_from_distance, scale_from_width
+from base_station.scale import Scale
 from base_station.station import ScaleMaker, Station, StationSettings, Step
 from base_station.terminal import pressed_keys
 from base_station.trackers.base import Tracker
@@ -43,6 +51,10 @@ from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracke
 from base_station.types import Box
 from protocol import FRAME_PORT
 
+if TYPE_CHECKING:
+    from base_station.trackers.ztransform.landmark import Landmark
+
+ANY_CAMERA = PinholeCamera.with_fov(640, 480)
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -61,6 +73,10 @@ class Run:
     target: str | None = None
     """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
     view."""
+    landmark: str | None = None
+    """Follow this landmark, or with behaviour goto return to it, instead of learning something now."""
+    memory: Path = DEFAULT_MEMORY
+    """The file that holds the landmark (see base-station landmarks)."""
     until_there: bool = False
     """With behaviour goto: end when it is there, or has given up (exit code 1)."""
     target_width_m: float | None = None
@@ -120,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Score | Evaluate | Trackers | Robots,
+            Run | Landmarks | Score | Evaluate | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -134,6 +150,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(command, console)
         if isinstance(command, Score):
             return _score(command)
+        if isinstance(command, Landmarks):
+            landmarks(command)
+            return EXIT_DONE
         if isinstance(command, Robots):
             return _robots(command)
         if isinstance(command, Evaluate):
@@ -178,16 +197,6 @@ def _robots(command: Robots) -> int:
     return EXIT_DONE
 
 
-def _parse_box(text: str) -> Box:
-    try:
-        x, y, width, height = (float(part) for part in text.split(","))
-        return Box(x, y, width, height)
-    except ValueError:
-        raise StationError(
-            f"--target {text}: write x,y,width,height in px, such as 250,150,140,140.", usage=True
-        ) from None
-
-
 def _tracker(name: str) -> Tracker:
     try:
         return make_tracker(name)
@@ -195,19 +204,32 @@ def _tracker(name: str) -> Tracker:
         raise StationError(str(error), usage=True) from error
 
 
-def _scale_maker(run: Run) -> ScaleMaker | None:
+def _landmark(run: Run) -> Landmark | None:
+    """The landmark to follow or to go to. Raises StationError."""
+    if run.landmark is None:
+        return None
+    from base_station.trackers.ztransform.landmark_file import read_landmarks
+
+    known = {landmark.name: landmark for landmark in read_landmarks(run.memory)}
+    if run.landmark not in known:
+        raise StationError(unknown_text(run.landmark, run.memory, list(known)), usage=True)
+    return known[run.landmark]
+
+
+def _recall_tracker(landmark: Landmark) -> Tracker:
+    from base_station.trackers.ztransform.recall import RecallTracker
+
+    return RecallTracker(landmark)
+
+
+def _scale_maker(run: Run, landmark: Landmark | None) -> ScaleMaker | None:
     """How the scale follows from the options and what is learned."""
-    if run.learned_distance_m is not None:
-        return functools.partial(scale_from_distance, run.learned_distance_m)
-    if run.target_width_m is not None:
-        return functools.partial(_scale_from_width, run.target_width_m)
-    return None
-
-
-def _scale_from_width(width_m: float, box: Box | None, camera: PinholeCamera) -> Scale:
-    if box is None:
-        raise StationError("--target-width-m needs a target: the whole view has no width in metres.", usage=True)
-    return scale_from_width(width_m, box, camera)
+    if landmark is not None:
+        depth_m = landmark.learned_depth_m
+        return None if depth_m is None else lambda box, camera: Scale(learned_depth_m=depth_m)
+    if run.learned_distance_m is None and run.target_width_m is None:
+        return None
+    return functools.partial(scale_of, width_m=run.target_width_m, distance_m=run.learned_distance_m)
 
 
 def _close(tracker: Tracker) -> None:
@@ -228,13 +250,19 @@ def _check(run: Run) -> None:
     for name, value in (
         ("--duration", run.duration),
         ("--max-frames", run.max_frames),
-        ("--target-width-m", run.target_width_m),
-        ("--learned-distance-m", run.learned_distance_m),
     ):
         if value is not None and not 0 < value < math.inf:
             raise StationError(f"{name} must be positive, not {value}.", usage=True)
-    if run.target_width_m is not None and run.learned_distance_m is not None:
-        raise StationError("Give --target-width-m or --learned-distance-m: one tells the other.", usage=True)
+    scale_of(Box(0, 0, 1, 1), ANY_CAMERA, width_m=run.target_width_m, distance_m=run.learned_distance_m)
+    if run.landmark is not None:
+        for name, given in (
+            ("--target", run.target),
+            ("--target-width-m", run.target_width_m),
+            ("--learned-distance-m", run.learned_distance_m),
+            ("--tracker", None if run.tracker == DEFAULT_TRACKER else run.tracker),
+        ):
+            if given is not None:
+                raise StationError(f"A landmark knows its own: leave out {name}.", usage=True)
     for name, side in (("--width", run.width), ("--height", run.height)):
         if not 1 <= side <= 8192:
             raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
@@ -249,6 +277,7 @@ def _check(run: Run) -> None:
 
 def _run(run: Run, console: Console) -> int:
     _check(run)
+    landmark = _landmark(run)
     for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
         signal.signal(number, _end_at_once)
     handler = RichHandler(console=console, show_path=False)
@@ -256,16 +285,16 @@ def _run(run: Run, console: Console) -> int:
     settings = StationSettings(
         behaviour=run.behaviour,
         pan=run.pan,
-        target=_parse_box(run.target) if run.target is not None else None,
+        target=parse_box(run.target) if run.target is not None else None,
         duration_s=run.duration,
         max_frames=run.max_frames,
         until_there=run.until_there,
-        scale=_scale_maker(run),
+        scale=_scale_maker(run, landmark),
     )
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
-        tracker = _tracker(run.tracker)
+        tracker = _tracker(run.tracker) if landmark is None else _recall_tracker(landmark)
         stack.callback(_close, tracker)
         shadow = _tracker(run.shadow) if run.shadow is not None else None
         if shadow is not None:

@@ -26,7 +26,7 @@ from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
 log = logging.getLogger(__name__)
 
-ScaleMaker = Callable[[Box | None, PinholeCamera], Scale]
+ScaleMaker = Callable[[Box | None, PinholeCamera], Scale | None]
 
 WAIT_S = 0.1
 SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
@@ -192,8 +192,8 @@ class Station:
         return command
 
     def _sight(self, result: TrackerResult) -> str:
-        """What the robot's lights are to tell; a station that does not follow is idle whatever its tracker sees."""
-        if self.settings.behaviour != "follow":
+        """What the robot's lights are to tell; a station that does not drive by what it sees is idle."""
+        if self.settings.behaviour not in ("follow", "goto"):
             return "idle"
         return SIGHT_OF.get(result.state, "idle")
 

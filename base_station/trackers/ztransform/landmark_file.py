@@ -6,6 +6,7 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,9 @@ def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
     """All of them into this file, whole or not at all. Raises StationError."""
     if len(landmarks) > MOST_LANDMARKS:
         raise StationError(f"A file holds {MOST_LANDMARKS} landmarks at the most; forget some.")
-    arrays = {
+    arrays: dict[str, Any] = {
+        "kind": np.array(KIND),
+        "version": np.array(VERSION),
         "names": np.array([landmark.name for landmark in landmarks], f"<U{LONGEST_NAME}"),
         "pictures": _stack([landmark.picture for landmark in landmarks], "pictures"),
         "descriptors": _stack([landmark.descriptors for landmark in landmarks], "descriptors"),
@@ -48,7 +51,7 @@ def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
             with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, kind=np.array(KIND), version=np.array(VERSION), **arrays)
+                np.savez_compressed(file, **arrays)
             os.replace(name, path)
         except BaseException:
             os.unlink(name)
@@ -126,7 +129,7 @@ def _stack(parts: list[np.ndarray], name: str) -> np.ndarray:
 
 
 def _box_numbers(box: Box | None) -> tuple[float, float, float, float]:
-    return (box.x, box.y, box.width, box.height) if box is not None else (float("nan"),) * 4  # type: ignore[return-value]
+    return (box.x, box.y, box.width, box.height) if box is not None else (float("nan"),) * 4
 
 
 def _camera_numbers(camera: PinholeCamera) -> tuple[float, ...]:

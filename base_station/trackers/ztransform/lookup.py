@@ -67,7 +67,7 @@ ROW_STEP = 3
 """In cells: how far apart the rows of windows are."""
 _BOX = slice((CELLS - BOX_CELLS) // 2, (CELLS + BOX_CELLS) // 2)
 _FREE, _FREE_PLACE = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0, 1.0, 0.0])
-_ONE_STEP, _TWO_STEPS = np.zeros(1, np.int64), np.zeros(2, np.int64)
+_ONE_STEP, _TWO_STEPS, _MORE_STEPS = (np.zeros(steps, np.int64) for steps in (1, 2, 4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +155,7 @@ class LandmarkMemory:
         self._landmarks: dict[str, Landmark] = {}
         self._plan: _Plan | None = None
         self._levels: Levels | None = None
-        self._profiles = np.empty((0, 0), np.float32)
+        self._profiles = np.empty(0, np.float32)
 
     def __len__(self) -> int:
         return len(self._landmarks)
@@ -353,7 +353,11 @@ class LandmarkMemory:
         cells, step_map = self._small.cells, landmark.step_map.astype(np.float32)[None]
         scratch = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8), np.empty_like(signature)
         confidence, share, source = 0.0, 0.0, self._small.source(pyramid, placement)
-        for least, turns in ((settings.worth_a_step, _ONE_STEP), (settings.worth_a_look, _TWO_STEPS)):
+        for least, turns in (
+            (settings.worth_a_step, _ONE_STEP),
+            (settings.worth_a_look, _TWO_STEPS),
+            (settings.worth_a_look, _MORE_STEPS),
+        ):
             confidence, share, _ = refine(
                 *source, lens, placement, patch, signature, step_map, turns,
                 _FREE_PLACE if is_place else _FREE, 0.002, *scratch, *self._small.plan,
