@@ -291,7 +291,7 @@ def _run(run: Run, console: Console) -> int:
         until_there=run.until_there,
         scale=_scale_maker(run, landmark),
     )
-    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow)
+    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow, from_memory=landmark is not None)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
         tracker = _tracker(run.tracker) if landmark is None else _recall_tracker(landmark)

@@ -113,8 +113,10 @@ class _Row:
 class LoopLog:
     """Collects steps and telemetry while a run goes on (from two threads), and sums them up."""
 
-    def __init__(self, *, tracker: str, behaviour: str, shadow: str | None = None) -> None:
+    def __init__(self, *, tracker: str, behaviour: str, shadow: str | None = None, from_memory: bool = False) -> None:
+        """`from_memory`: what is followed was learned before this run, so nothing tells from where."""
         self._tracker, self._behaviour, self._shadow = tracker, behaviour, shadow
+        self._from_memory = from_memory
         self._lock = threading.Lock()
         self._truths: dict[tuple[str, int], Truth] = {}
         self._steps: list[_Seen] = []
@@ -178,7 +180,7 @@ class LoopLog:
         """Sum up. Call after the run."""
         with self._lock:
             rows = self._rows()
-        learned = self._truths.get(self._learned_key) if self._learned_key else None
+        learned = self._truths.get(self._learned_key) if self._learned_key and not self._from_memory else None
         first, last = self._first_telemetry, self._last_telemetry
         times_s = [seen.time_s for seen in self._steps]
         wall_s = self._walls_s[-1] - self._walls_s[0] if len(self._walls_s) > 1 else 0.0
