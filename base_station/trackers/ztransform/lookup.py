@@ -60,10 +60,10 @@ SMALL_SIZE = SignatureReader(SMALL).size
 SMALL_REGRESSION = RegressionSettings(
     levels=(Disturbance(shift=0.12, log_zoom=0.12, log_aspect=0.06, keystone=0.06),), samples=250
 )
-SIZES = (2 ** (-1 / 20), 2 ** (1 / 20))
+SIZES = (0.93 * 2 ** (-1 / 20), 0.93 * 2 ** (1 / 20))
 """Of the windows that describe a landmark: between them they halve the step of the levels."""
 BLOCK_LEVELS = 3
-ROW_STEP = 3
+ROW_STEP = 4
 """In cells: how far apart the rows of windows are."""
 _BOX = slice((CELLS - BOX_CELLS) // 2, (CELLS + BOX_CELLS) // 2)
 _FREE, _FREE_PLACE = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0, 1.0, 0.0])
@@ -77,7 +77,7 @@ class LookupSettings:
     zooms: tuple[float, float] = (0.42, 2.4)
     """Of targets, against the learned size."""
     place_zooms: tuple[float, float] = (0.8, 1.25)
-    place_window: float = 0.6
+    place_window: float = 0.45
     """A place is first looked for by its middle; this share of the frame's height."""
     candidates: int = 16
     """How many landmarks the full comparison is made for."""
@@ -112,21 +112,27 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class _Group:
-    """Landmarks that share their rows of windows."""
+class _Block:
+    """Landmarks' windows that are compared in one product: they need about the same levels."""
 
-    members: np.ndarray
+    windows: slice
+    """Which, of all windows in the plan."""
     descriptors: np.ndarray
-    tops: np.ndarray
-    """The windows' uppermost row in each level; -1 where they would not lie in the frame, or nobody asks for them."""
-    positions: int
-    """How many windows that makes."""
     low: np.ndarray
-    """Of each member the first level in its range of zooms."""
+    """Of each the first level in its range of zooms."""
     high: np.ndarray
     """One after the last."""
-    blocks: tuple[tuple[int, int], ...]
-    """Members, by their first level, that are compared in one product: who is large needs not the fine levels."""
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Landmarks' windows that share a row of windows in the frame."""
+
+    blocks: list[_Block]
+    tops: np.ndarray
+    """The uppermost row in each level; -1 where it would not lie in the frame, or nobody asks for it."""
+    positions: int
+    """How many windows of the frame that makes."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +149,7 @@ class _Plan:
     """Of each window, px."""
     rows: np.ndarray
     """Of each window, see `_windows_of`."""
+    group_of: np.ndarray
     groups: list[_Group]
 
 
@@ -267,18 +274,24 @@ class LandmarkMemory:
         slack = math.sqrt(LEVEL_STEP)
         low = np.searchsorted(levels.cell_x_px, sides * zooms[:, 0] / SIDE / slack)
         high = np.maximum(np.searchsorted(levels.cell_x_px, sides * zooms[:, 1] / SIDE * slack), low)
-        groups = []
-        for row in np.unique(rows):
-            members = np.flatnonzero(rows == row)
-            members = members[np.argsort(low[members], kind="stable")]
-            tops = np.round((camera.cy + 0.5) / levels.cell_y_px + row).astype(np.int64)
+        order = np.lexsort([low, rows])  # windows of one group, and of one block in it, lie side by side
+        owners, sides, rows, low, high, descriptors = (
+            part[order] for part in (owners, sides, rows, low, high, descriptors)
+        )
+        groups: list[_Group] = []
+        group_of = np.empty(len(order), np.int64)
+        for begin, end in _runs(rows):
+            cuts = _runs(low[begin:end] // BLOCK_LEVELS)
+            parts = [slice(begin + first, begin + last) for first, last in cuts]
+            blocks = [_Block(part, descriptors[part], low[part], high[part]) for part in parts]
+            tops = np.round((camera.cy + 0.5) / levels.cell_y_px + rows[begin]).astype(np.int64)
             tops[(tops < 0) | (tops > levels.heights - SIDE)] = -1
-            tops[: low[members].min()] = tops[high[members].max() :] = -1
+            tops[: low[begin:end].min()] = tops[high[begin:end].max() :] = -1
             positions = int(np.maximum((levels.widths - SIDE) // COLUMN_STEP + 1, 0)[tops >= 0].sum())
-            cuts = np.flatnonzero(np.diff(low[members] // BLOCK_LEVELS)) + 1
-            blocks = tuple(itertools.pairwise([0, *(int(cut) for cut in cuts), len(members)]))
-            groups.append(_Group(members, descriptors[members], tops, positions, low[members], high[members], blocks))
-        self._plan, self._levels = _Plan(camera, only, landmarks, placements, owners, sides, rows, groups), levels
+            group_of[begin:end] = len(groups)
+            groups.append(_Group(blocks, tops, positions))
+        self._plan = _Plan(camera, only, landmarks, placements, owners, sides, rows, group_of, groups)
+        self._levels = levels
         room = int(np.maximum((levels.widths - SIDE) // COLUMN_STEP + 1, 0).sum())
         self._profiles = np.empty(SIDE * 2 * BANDS * room, np.float32)
         return self._plan
@@ -288,34 +301,29 @@ class LandmarkMemory:
         levels = self._levels
         assert levels is not None
         levels.read(pyramid)
-        count = len(plan.owners)
-        score = np.empty(count, np.float32)
-        level, column, top = (np.empty(count, np.int64) for _ in range(3))
-        starts = np.empty(len(levels.widths) + 1, np.int64)
-        for group in plan.groups:
-            members, room = len(group.members), group.positions
-            profiles = self._profiles[: SIDE * 2 * BANDS * room].reshape(SIDE, 2 * BANDS, room)
-            gather_profiles(levels.cells, levels.offsets, levels.widths, group.tops, SIDE, BANDS, profiles, starts)
-            read = (WINDOWS @ profiles.reshape(SIDE, -1)).reshape(DESCRIPTOR_SIZE, room)
-            inverse = np.empty(room, np.float32)
+        score, best = np.empty(len(plan.owners), np.float32), np.empty(len(plan.owners), np.int64)
+        starts = np.empty((len(plan.groups), len(levels.widths) + 1), np.int64)
+        for group, start in zip(plan.groups, starts, strict=True):
+            profiles = self._profiles[: SIDE * 2 * BANDS * group.positions].reshape(SIDE, 2 * BANDS, group.positions)
+            gather_profiles(levels.cells, levels.offsets, levels.widths, group.tops, SIDE, BANDS, profiles, start)
+            read = (WINDOWS @ profiles.reshape(SIDE, -1)).reshape(DESCRIPTOR_SIZE, group.positions)
+            inverse = np.empty(group.positions, np.float32)
             inverse_lengths(read, inverse)
-            best, best_score = np.empty(members, np.int64), np.empty(members, np.float32)
-            for begin, end in group.blocks:
-                first = int(starts[group.low[begin]])
-                part = slice(begin, end)
+            for block in group.blocks:
+                first = int(start[block.low[0]])
                 best_positions(
-                    group.descriptors[part] @ read[:, first:], inverse, first, starts, group.low[part],
-                    group.high[part], best[part], best_score[part],
+                    block.descriptors @ read[:, first:], inverse, first, start, block.low, block.high,
+                    best[block.windows], score[block.windows],
                 )  # fmt: skip
-            at = np.searchsorted(starts, best, side="right") - 1
-            score[group.members], level[group.members] = best_score, at
-            column[group.members], top[group.members] = (best - starts[at]) * COLUMN_STEP, group.tops[at]
         candidates: dict[int, np.ndarray] = {}
-        for i in np.argsort(-score):
-            if score[i] < self._settings.resemblance or len(candidates) == self._settings.candidates:
+        for window in np.argsort(-score):
+            if score[window] < self._settings.resemblance or len(candidates) == self._settings.candidates:
                 break
-            if plan.owners[i] not in candidates:
-                candidates[int(plan.owners[i])] = self._start(plan, i, level[i], column[i], top[i])
+            owner, number = int(plan.owners[window]), int(plan.group_of[window])
+            if owner not in candidates:
+                level = int(np.searchsorted(starts[number], best[window], side="right")) - 1
+                column = COLUMN_STEP * int(best[window] - starts[number, level])
+                candidates[owner] = self._start(plan, window, level, column, int(plan.groups[number].tops[level]))
         return list(candidates.items())
 
     def _start(self, plan: _Plan, window: int, level: int, column: int, top: int) -> np.ndarray:
@@ -347,8 +355,8 @@ class LandmarkMemory:
         settings, landmark, camera = self._settings, plan.landmarks[number], plan.camera
         is_place = landmark.box is None
         lens = lens_of(camera, curved=is_place)
-        inside = landmark.picture[_BOX, _BOX].astype(np.float32)
-        patch = cv2.resize(inside, (SMALL.cells, SMALL.cells), interpolation=cv2.INTER_AREA)
+        inside = landmark.picture[_BOX, _BOX]
+        patch = cv2.resize(inside, (SMALL.cells, SMALL.cells), interpolation=cv2.INTER_AREA).astype(np.float32)
         signature, placement = self._small.signature(patch)[0], start.copy()
         cells, step_map = self._small.cells, landmark.step_map.astype(np.float32)[None]
         scratch = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8), np.empty_like(signature)
@@ -364,8 +372,9 @@ class LandmarkMemory:
             )  # fmt: skip
             if confidence < least or share < settings.least_share:
                 return None
-        now = self._full.read(pyramid, placement, lens, inside)
-        confidence = float(inner(now, self._full.signature(inside)[0]))
+        learned = inside.astype(np.float32)
+        now = self._full.read(pyramid, placement, lens, learned)
+        confidence = float(inner(now, self._full.signature(learned)[0]))
         if confidence < settings.confidence:
             return None
         x, y = to_pixel(placement[X], placement[Y], lens)
@@ -378,6 +387,12 @@ class LandmarkMemory:
             zoom=float(placement[HEIGHT] / plan.placements[number][HEIGHT]),
             box=outline(placement, lens),
         )
+
+
+def _runs(values: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end of every run of equal values."""
+    cuts = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return list(itertools.pairwise([0, *cuts, len(values)]))
 
 
 def _same_spot(one: Sighting, other: Sighting) -> bool:

@@ -5,6 +5,8 @@ A patch cell should be read from pixels about half its size: finer reads cost ti
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -37,7 +39,7 @@ class Pyramid:
         """For cells of this size, in px of the full frame: which image to read, its scale, reads per cell and axis."""
         largest = min(self.image.shape) // FEWEST_PIXELS
         scale = max(s for s in SCALES if s == 1 or (cell_px >= PIXELS_PER_CELL * s and s <= largest))
-        reads = int(np.clip(np.ceil(cell_px / scale / PIXELS_PER_READ), 1, 4))
+        reads = min(max(math.ceil(cell_px / scale / PIXELS_PER_READ), 1), 4)
         return self.at(scale), scale, reads
 
 

@@ -1,0 +1,260 @@
+"""scripts/benchmark-landmarks: how surely, how fast and how exactly many landmarks are told apart.
+
+Landmarks are boxes of random size and place in views of several worlds, none on top of another. Then one world after
+the other is seen again, shifted, enlarged, in other light and with noise, and the memory is asked which landmarks it
+sees. Found: of the landmarks whose box lies wholly in the view. False: any sighting in a world where nothing was
+learned, and any sighting of a landmark of another world.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+from threadpoolctl import threadpool_limits
+
+from base_station.errors import StationError
+from base_station.evaluation.benchmark_report import machine_line
+from base_station.evaluation.worlds import VIEW_COLUMNS, VIEW_ROWS, World, generated_world, photographed_worlds
+from base_station.geometry import PinholeCamera
+from base_station.trackers.ztransform.lookup import LandmarkMemory
+from base_station.types import Box, Frame
+
+ZOOMS = {"zoom 0.45-0.7": (0.45, 0.7), "zoom 0.7-1.4": (0.7, 1.4), "zoom 1.4-2.2": (1.4, 2.2)}
+GAINS, OFFSETS, NOISE = (0.4, 1.6), (-40.0, 40.0), 3.0
+CAMERA = PinholeCamera.with_fov(VIEW_COLUMNS, VIEW_ROWS)
+PER_WORLD = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandmarkBenchmark:
+    """Recognition among many landmarks: found, false, exactness, time, memory."""
+
+    landmarks: int = 500
+    frames: int = 300
+    """Views in which landmarks are to be found, and half as many again in which there are none."""
+    images: Path | None = None
+    """A folder of photographs to use as worlds: the even ones to learn from, the odd ones to show none."""
+    seed: int = 0
+    json: Path | None = None
+    """Write the figures to this file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeScore:
+    """One range of zooms. Errors over the landmarks that were found."""
+
+    expected: int
+    found: float
+    median_px: float | None
+    zoom_err_median: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandmarkScores:
+    landmarks: int
+    ranges: dict[str, RangeScore]
+    wrong_sightings: int
+    """Of landmarks that belong to another world."""
+    frames: int
+    false_frames: float
+    """Share of the frames showing none in which some landmark was seen."""
+    empty_frames: int
+    lookup_ms_p10: float
+    lookup_ms_p50: float
+    learn_ms_p50: float
+    bytes_per_landmark: int
+
+
+@dataclass
+class _Tally:
+    found: list[bool] = field(default_factory=list)
+    off_px: list[float] = field(default_factory=list)
+    off_zoom: list[float] = field(default_factory=list)
+
+
+def run_landmark_benchmark(
+    known: Sequence[World], unknown: Sequence[World], *, landmarks: int, frames: int, seed: int
+) -> LandmarkScores:
+    """Learn in the first worlds, look in both. One thread's times."""
+    rng = np.random.default_rng(seed)
+    memory, boxes, learn_s = _learn(known, landmarks, rng)
+    memory.find(_frame(_lit(known[0].view(), 1.0, 0.0, rng)))
+    tallies: dict[str, _Tally] = defaultdict(_Tally)
+    lookup_s, wrong = [], 0
+    for number in range(frames):
+        name, zooms = list(ZOOMS.items())[number % len(ZOOMS)]
+        world = int(rng.integers(len(known)))
+        zoom = float(np.exp(rng.uniform(*np.log(zooms))))
+        dx, dy = float(rng.uniform(-50, 50)), float(rng.uniform(-6, 6))
+        frame = _frame(
+            _lit(known[world].view(dx, dy, zoom), float(rng.uniform(*GAINS)), float(rng.uniform(*OFFSETS)), rng)
+        )
+        begun_s = time.thread_time()
+        sightings = {sighting.landmark.name: sighting for sighting in memory.find(frame)}
+        lookup_s.append(time.thread_time() - begun_s)
+        wrong += sum(key not in boxes[world] for key in sightings)
+        for key, box in boxes[world].items():
+            seen = _moved(box, dx, dy, zoom)
+            if not _is_inside(seen):
+                continue
+            tally, sighting = tallies[name], sightings.get(key)
+            tally.found.append(sighting is not None)
+            if sighting is not None:
+                tally.off_px.append(abs(sighting.box.center_px[0] - seen.center_px[0]))
+                tally.off_zoom.append(abs(sighting.zoom / zoom - 1))
+    false, empty = 0, frames // 2
+    for number in range(empty):
+        zoom = float(np.exp(rng.uniform(math.log(0.45), math.log(2.2))))
+        view = unknown[number % len(unknown)].view(float(rng.uniform(-200, 200)), float(rng.uniform(-50, 50)), zoom)
+        false += bool(memory.find(_frame(_lit(view, float(rng.uniform(*GAINS)), 0.0, rng))))
+    return LandmarkScores(
+        landmarks=len(memory),
+        ranges={name: _range_score(tally) for name, tally in tallies.items()},
+        wrong_sightings=wrong,
+        frames=frames,
+        false_frames=false / max(empty, 1),
+        empty_frames=empty,
+        lookup_ms_p10=float(np.quantile(lookup_s, 0.1)) * 1e3,
+        lookup_ms_p50=float(np.median(lookup_s)) * 1e3,
+        learn_ms_p50=float(np.median(learn_s)) * 1e3,
+        bytes_per_landmark=max(landmark.bytes for landmark in memory.landmarks),
+    )
+
+
+def _learn(
+    worlds: Sequence[World], count: int, rng: np.random.Generator
+) -> tuple[LandmarkMemory, list[dict[str, Box]], list[float]]:
+    memory, boxes, took_s = LandmarkMemory(), [dict[str, Box]() for _ in worlds], []
+    frames = [_frame(_lit(world.view(), 1.0, 0.0, rng)) for world in worlds]
+    tries = 0
+    while len(memory) < count:
+        tries += 1
+        if tries > 100 * count:
+            raise StationError("The pictures have too little texture, or there are too few, for so many landmarks.")
+        world = int(rng.integers(len(worlds)))
+        box = _draw_box(rng)
+        if any(_overlap(box, other) for other in boxes[world].values()):
+            continue
+        begun_s = time.thread_time()
+        try:
+            memory.learn(f"landmark {len(memory)}", frames[world], box)
+        except ValueError:
+            continue  # featureless
+        took_s.append(time.thread_time() - begun_s)
+        boxes[world][f"landmark {len(memory) - 1}"] = box
+    return memory, boxes, took_s
+
+
+def _draw_box(rng: np.random.Generator) -> Box:
+    side, aspect = float(np.exp(rng.uniform(np.log(70), np.log(200)))), float(np.exp(rng.uniform(-0.35, 0.35)))
+    width, height = side * math.sqrt(aspect), side / math.sqrt(aspect)
+    x = float(rng.uniform(width / 2, VIEW_COLUMNS - width / 2))
+    y = float(rng.uniform(height / 2, VIEW_ROWS - height / 2))
+    return Box.around(x, y, width, height)
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    (x, y), (other_x, other_y) = one.center_px, other.center_px
+    return (
+        abs(x - other_x) < 0.4 * (one.width + other.width) / 2
+        and abs(y - other_y) < 0.4 * (one.height + other.height) / 2
+    )
+
+
+def _moved(box: Box, dx: float, dy: float, zoom: float) -> Box:
+    x, y = box.center_px
+    middle_x, middle_y = (VIEW_COLUMNS - 1) / 2, (VIEW_ROWS - 1) / 2
+    return Box.around(
+        middle_x + zoom * (x - middle_x) + dx,
+        middle_y + zoom * (y - middle_y) + dy,
+        zoom * box.width,
+        zoom * box.height,
+    )
+
+
+def _is_inside(box: Box) -> bool:
+    return box.x >= 0 and box.y >= 0 and box.x + box.width <= VIEW_COLUMNS and box.y + box.height <= VIEW_ROWS
+
+
+def _lit(view: np.ndarray, gain: float, offset: float, rng: np.random.Generator) -> np.ndarray:
+    noisy = gain * view + offset + rng.normal(0, NOISE, view.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+def _frame(image: np.ndarray) -> Frame:
+    return Frame(image=image, number=1, time_s=0.0, camera=CAMERA)
+
+
+def _range_score(tally: _Tally) -> RangeScore:
+    return RangeScore(
+        expected=len(tally.found),
+        found=float(np.mean(tally.found)),
+        median_px=float(np.median(tally.off_px)) if tally.off_px else None,
+        zoom_err_median=float(np.median(tally.off_zoom)) if tally.off_zoom else None,
+    )
+
+
+def _print(scores: LandmarkScores) -> None:
+    print(
+        f"{scores.landmarks} landmarks, {scores.bytes_per_landmark} bytes each, learned in {scores.learn_ms_p50:.0f} ms"
+    )
+    for name, score in scores.ranges.items():
+        errors = (
+            f"median error {score.median_px:.2f} px, zoom {score.zoom_err_median:.2%}"
+            if score.median_px is not None and score.zoom_err_median is not None
+            else "none found"
+        )
+        print(f"{name}: found {score.found:.1%} of {score.expected}; {errors}")
+    print(f"wrong sightings in {scores.frames} frames: {scores.wrong_sightings}")
+    print(f"frames that show none, {scores.empty_frames}: some landmark seen in {scores.false_frames:.1%}")
+    print(
+        f"look-up, processor time: median {scores.lookup_ms_p50:.2f} ms, tenth percentile {scores.lookup_ms_p10:.2f} ms"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Returns the exit code."""
+    try:
+        run = tyro.cli(LandmarkBenchmark, prog="benchmark-landmarks", args=arguments)
+    except SystemExit as end:
+        return 2 if end.code else 0
+    try:
+        if not 1 <= run.landmarks <= 4096 or not 3 <= run.frames <= 100_000:
+            raise StationError("--landmarks must be 1..4096, --frames 3..100000.", usage=True)
+        cv2.setNumThreads(1)
+        with threadpool_limits(1):
+            known, unknown = _worlds(run)
+            print(f"{machine_line()}; seed {run.seed}")
+            scores = run_landmark_benchmark(known, unknown, landmarks=run.landmarks, frames=run.frames, seed=run.seed)
+        _print(scores)
+        if run.json is not None:
+            run.json.write_text(json.dumps(asdict(scores), indent=2) + "\n", encoding="utf-8")
+    except (StationError, OSError) as error:
+        print(f"benchmark-landmarks: {error}", file=sys.stderr)
+        return 2 if isinstance(error, StationError) and error.usage else 1
+    return 0
+
+
+def _worlds(run: LandmarkBenchmark) -> tuple[Sequence[World], Sequence[World]]:
+    if run.images is not None:
+        worlds = photographed_worlds(run.images, run.seed)
+        if len(worlds) < 2:
+            raise StationError(f"{run.images} has one picture; at least two are needed.", usage=True)
+        return worlds[::2], worlds[1::2]
+    count = math.ceil(run.landmarks / PER_WORLD)
+    first = 1000 * run.seed
+    return [generated_world(first + n) for n in range(count)], [generated_world(first + 500 + n) for n in range(10)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
