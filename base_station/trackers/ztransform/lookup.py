@@ -81,7 +81,7 @@ class LookupSettings:
     """A place is first looked for by its middle; this share of the frame's height."""
     candidates: int = 16
     """How many landmarks the full comparison is made for."""
-    resemblance: float = 0.69
+    resemblance: float = 0.5
     """Of the descriptors (normalised correlation); with less no comparison is made."""
     worth_a_step: float = 0.3
     """Confidence on the small signature after one step of refinement, from which on another is made."""

@@ -28,7 +28,7 @@ def view_angle_rad(placement: np.ndarray, learned: np.ndarray, lens: np.ndarray)
     """How far the line of sight has turned since the target was learned, see `TrackerResult.view_angle_rad`.
 
     `placement`, `learned`: see `kernels`; `lens`: of a flat view. The learned view is taken as square to the target.
-    Exact for an upright flat target within +-75 degrees.
+    Exact for an upright flat target whose plane is turned by less than 75 degrees against the image.
     """
     x, _, width, height, keystone = placement.tolist()
     x0, _, width0, height0, _ = learned.tolist()
