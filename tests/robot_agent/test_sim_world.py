@@ -295,3 +295,14 @@ def test_a_closed_world_gives_no_more_frames():
     simulated.close()
     with pytest.raises(CameraError):
         simulated.capture()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_arc_robot_is_set_down_a_metre_from_the_picture_20_degrees_round_and_facing_it(seed):
+    stage, poster = build_stage("arc", seed), build_stage("poster", seed)
+    wall, down = stage.picture.wall_pose, stage.set_down
+    assert (stage.robot_start, stage.picture) == (poster.robot_start, poster.picture)
+    assert math.hypot(wall.x_m - down.x_m, wall.y_m - down.y_m) == pytest.approx(1.0)
+    sight = math.atan2(wall.y_m - down.y_m, wall.x_m - down.x_m)
+    assert down.heading_rad == pytest.approx(sight)
+    assert abs(math.degrees(sight - wall.heading_rad)) == pytest.approx(20)

@@ -1,4 +1,4 @@
-"""The memory of landmarks: recognised in other light and zoom, not where they are not, kept in a file, followed again."""
+"""Landmarks: recognised in other light and zoom and not where they are not, kept in a file, followed again."""
 
 from __future__ import annotations
 
@@ -154,14 +154,14 @@ def test_a_place_is_recognised_and_tells_the_turn(make_world, zoom):
         assert sighting.zoom == pytest.approx(zoom, rel=0.03)
 
 
-# -- the small picture ---------------------------------------------------------------------------------------------------
+# -- the small picture -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("columns", "target"), [(640, box_at(1)), (320, box_at(1)), (640, None)], ids=str)
 def test_a_landmark_can_be_followed_again_in_a_camera_of_another_size(world, columns, target):
     landmark = LandmarkMemory().learn("x", world.frame(world.view()), target)
     tracker, zoom = RecallTracker(landmark), 1.1
-    x, y = seen_at(target, 12, zoom) if target is not None else (MIDDLE[0] + 12, MIDDLE[1])
+    x = seen_at(target, 12, zoom)[0] if target is not None else MIDDLE[0] + 12
     for number in range(1, 4):
         image = world.view(12, 0, zoom, gain=0.8, noise=2)
         if columns == 320:
@@ -189,7 +189,7 @@ def test_a_landmark_that_is_not_there_is_not_followed(make_world):
     assert tracker.update(world.frame(world.view(5), 40)).state is TrackingState.TRACKING
 
 
-# -- the file ------------------------------------------------------------------------------------------------------------
+# -- the file ----------------------------------------------------------------------------------------------------------
 
 
 def test_what_is_written_is_read(tmp_path, world):
@@ -269,7 +269,7 @@ def test_a_file_that_is_not_there(tmp_path):
         write_landmarks(tmp_path / "no" / "landmarks.npz", [])
 
 
-# -- the kernels against what they mean ----------------------------------------------------------------------------------
+# -- the kernels against what they mean --------------------------------------------------------------------------------
 
 
 def test_profiles_are_the_sums_over_bands():
