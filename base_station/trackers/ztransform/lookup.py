@@ -67,7 +67,7 @@ ROW_STEP = 4
 """In cells: how far apart the rows of windows are."""
 _BOX = slice((CELLS - BOX_CELLS) // 2, (CELLS + BOX_CELLS) // 2)
 _FREE, _FREE_PLACE = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0, 1.0, 0.0])
-_ONE_STEP, _TWO_STEPS, _MORE_STEPS = (np.zeros(steps, np.int64) for steps in (1, 2, 4))
+_ONE_STEP, _TWO_STEPS, _MORE_STEPS = (np.zeros(steps, np.int64) for steps in (1, 2, 2))
 
 
 @dataclass(frozen=True, kw_only=True)
