@@ -26,6 +26,7 @@ OPTIONAL = {
     "gi": "robot_agent/robots/aseba.py",
     "zeroconf": ("base_station/discovery.py", "robot_agent/announce.py"),
     "ifaddr": "robot_agent/announce.py",
+    "matplotlib": "base_station/evaluation/thesis/plotting.py",
     "pycolmap": None,
     "nicegui": None,
 }

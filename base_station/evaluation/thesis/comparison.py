@@ -104,7 +104,7 @@ def run_case(
                 tallies[name].refused += frames
         for index in range(frames):
             part = (index + 1) / frames
-            dx = SWAY_PX * math.sin(2 * math.pi * part * max(1, frames // 20))
+            dx = SWAY_PX * math.sin(2 * math.pi * part * max(1, frames // 30))
             light = {"gain": 1 + (case.gain - 1) * part, "offset": case.offset}
             image = view(picture, dx, noise=case.noise, rng=rng, **light)
             for name, tracker in learned.items():
@@ -151,6 +151,7 @@ def run_light(
                 continue
             for index, images in enumerate(views):
                 for dx, image in zip(shifts, images, strict=True):
+                    tracker.update(first)  # back where it was learned, so that every move starts there
                     tally = Tally()
                     _look(tracker, image, 2 + index, float(dx), tally, time.perf_counter)
                     right[name][index] += tally.right

@@ -23,7 +23,7 @@ def windows() -> Plate:
         panels = figure.subplots(1, 3, sharex=True)
         panels[0].plot(u, real, color=palette.series[0], label="z = 1.087")
         panels[0].plot(u, 0.05 * 0.9**-u, color=palette.series[1], label="z = 0.9 (times 0.05)")
-        panels[0].set(title="real, first order: z⁻ᵘ", ylabel="weight", ylim=(-0.6, 1.3))
+        panels[0].set(title="real, first order: z⁻ᵘ", ylabel="weight", ylim=(-1.1, 1.5))
         for axes, values, title in (
             (panels[1], turning, "on the spiral: exp(-s(1 + 2j)u)"),
             (panels[2], second / np.abs(second).max(), "second order: u exp(-s(1 + 2j)u)"),
@@ -31,10 +31,10 @@ def windows() -> Plate:
             axes.plot(u, values.real, color=palette.series[0], label="real part")
             axes.plot(u, values.imag, color=palette.series[2], label="imaginary part")
             axes.plot(u, np.abs(values), color=palette.ink, lw=1, ls=":", label="size")
-            axes.set(title=title, ylim=(-0.6, 1.3))
+            axes.set(title=title, ylim=(-1.1, 1.5))
         for axes in panels:
             axes.set_xlabel("distance u from the anchor (px)")
-            axes.legend(loc="upper right")
+            axes.legend(loc="lower right" if axes is panels[0] else "upper right")
 
     return Plate(
         name="method-windows",
@@ -76,7 +76,7 @@ def recursion(picture: np.ndarray) -> Plate:
         rows[2].annotate(
             f"column {found} = {anchor} + {found - anchor}",
             (found, distance[found]),
-            (found + 25, 0.82 * distance.max()),
+            (found + 12, 0.06 * distance.max()),
             fontsize=9,
         )
         rows[2].axvline(anchor, color=palette.ink, lw=1, ls=":")
@@ -112,7 +112,7 @@ def zoom() -> Plate:
     u = np.arange(6000.0)
 
     def signal(x: np.ndarray) -> np.ndarray:
-        return np.exp(-(((x - 60) / 25) ** 2)) + 0.6 * np.exp(-(((x - 150) / 18) ** 2)) - 0.4 * np.exp(-((x / 20) ** 2))
+        return np.exp(-(((x - 45) / 20) ** 2)) - 0.8 * np.exp(-(((x - 100) / 25) ** 2))
 
     one, other = (
         np.array([abs(np.sum(values * pole**u)) for pole in spiral_poles(bank)])
@@ -126,7 +126,7 @@ def zoom() -> Plate:
         left.plot(u[:320], signal(u[:320]), color=palette.series[0], label="learned")
         left.plot(u[:320], signal(u[:320] / g), color=palette.series[1], label=f"enlarged {g:.2f} times")
         left.set(
-            title="a signal about its anchor", xlabel="distance from the anchor (px)", ylabel="value", ylim=(-0.5, 1.5)
+            title="a signal about its anchor", xlabel="distance from the anchor (px)", ylabel="value", ylim=(-1, 1.5)
         )
         left.legend(ncols=2, loc="upper left")
         right.plot(index, one, color=palette.series[0], marker="o", ms=4, label="learned: |X(s)|")
@@ -155,6 +155,6 @@ def zoom() -> Plate:
         "the same curve moved by three.",
         size_in=(9.5, 3.2),
         draw=draw,
-        numbers=(("largest difference of the curves, moved over one another", f"{off:.2%} of the peak"),),
+        numbers=(("largest difference of the curves, moved over one another", f"{100 * off:.2g} % of the peak"),),
         for_readme=True,
     )

@@ -37,7 +37,7 @@ td.good { background: var(--good); }
 td.bad { background: var(--bad); }
 code, pre { font: .88rem/1.5 ui-monospace, "DejaVu Sans Mono", monospace; }
 pre { background: var(--tint); padding: .8rem 1rem; overflow-x: auto; border-radius: 6px; }
-nav ul { columns: 18rem; padding-left: 1.1rem; font-size: .92rem; }
+nav ul { columns: 16rem; column-gap: 2.5rem; padding-left: 1.1rem; font-size: .92rem; }
 footer { color: var(--soft); font-size: .88rem; margin: 3rem 0 2rem; }
 @media (max-width: 40rem) { dl { grid-template-columns: 1fr; gap: 0; } dt { margin-top: .5rem; } }
 """
@@ -128,4 +128,5 @@ def _cell(tally: Tally, *, nothing_to_see: bool) -> str:
     median = f"{np.median(tally.errors_px):.2f} px" if tally.errors_px else "no answer"
     good = wrong == 0 if nothing_to_see else right >= 0.98
     kind = "good" if good else "bad" if wrong > 0.05 else ""
-    return f'<td class="{kind}">{median}<br>{right:.0%} right<br>{wrong:.0%} wrong<br>{none:.0%} none</td>'
+    shares = f"{100 * right:.0f} % right<br>{100 * wrong:.0f} % wrong<br>{100 * none:.0f} % none"
+    return f'<td class="{kind}">{median}<br>{shares}</td>'

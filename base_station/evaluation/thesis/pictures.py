@@ -33,7 +33,7 @@ def _noise(rng: np.random.Generator, scale_px: float) -> np.ndarray:
 def room(seed: int) -> np.ndarray:
     """Things of all sizes before clouds of all sizes: plenty to see."""
     rng = np.random.default_rng(seed)
-    picture = 125 + 14 * _noise(rng, 40) + 10 * _noise(rng, 12) + 6 * _noise(rng, 3)
+    picture = 125 + 14 * _noise(rng, 40) + 10 * _noise(rng, 12) + 6 * _noise(rng, 3) + 5 * _noise(rng, 0.7)
     for _ in range(60):
         x, y = int(rng.integers(0, _WIDE)), int(rng.integers(0, _HIGH))
         wide, high = int(rng.integers(10, 90)), int(rng.integers(10, 90))
@@ -42,7 +42,7 @@ def room(seed: int) -> np.ndarray:
             cv2.rectangle(picture, (x, y), (x + wide, y + high), grey, -1, cv2.LINE_AA)
         else:
             cv2.circle(picture, (x, y), wide // 2, grey, -1, cv2.LINE_AA)
-    return cv2.GaussianBlur(picture, (0, 0), 0.8)
+    return cv2.GaussianBlur(picture, (0, 0), 0.5) + 2 * _noise(rng, 0.6)
 
 
 def wall(seed: int) -> np.ndarray:
@@ -54,12 +54,12 @@ def wall(seed: int) -> np.ndarray:
 def mine(seed: int) -> np.ndarray:
     """A gallery by a lamp: dark rock, the same timber every 76 px, light in the middle only."""
     rng = np.random.default_rng(seed)
-    picture = 95 + 13 * _noise(rng, 14) + 9 * _noise(rng, 4)
+    picture = 95 + 13 * _noise(rng, 14) + 9 * _noise(rng, 4) + 9 * _noise(rng, 0.8)
     for x in range(int(rng.integers(0, 76)), _WIDE, 76):
         picture[:, x : x + 16] = 150 + 5 * _noise(rng, 3)[:, x : x + 16]
     y, x = np.mgrid[:_HIGH, :_WIDE].astype(np.float32)
     lamp = np.exp(-(((x - _WIDE / 2) / 330) ** 2) - ((y - _HIGH / 2) / 260) ** 2)
-    return cv2.GaussianBlur(12 + picture * (0.1 + 0.55 * lamp), (0, 0), 1.0)
+    return cv2.GaussianBlur(12 + picture * (0.1 + 0.55 * lamp), (0, 0), 0.6)
 
 
 def desert(seed: int) -> np.ndarray:
@@ -67,7 +67,7 @@ def desert(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:_HIGH, :_WIDE].astype(np.float32)
     bent = 2 * np.pi * (x + 0.15 * y) / 28 + 0.8 * _noise(rng, 60)
-    return 165 + 20 * np.sin(bent) + 5 * np.sin(2 * bent) + 6 * _noise(rng, 70) + 2.5 * _noise(rng, 1.5)
+    return 165 + 20 * np.sin(bent) + 5 * np.sin(2 * bent) + 6 * _noise(rng, 70) + 5 * _noise(rng, 0.8)
 
 
 SCENES: dict[str, tuple[Callable[[int], np.ndarray], str]] = {

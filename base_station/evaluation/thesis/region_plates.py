@@ -105,9 +105,10 @@ def moving_thing(pictures: list[np.ndarray]) -> Plate:
         name="figure-4-7-mended",
         title="What algorithm 4.2 is good for: where something moves",
         thesis="“The maximum change in z values is the region of the shift.”",
-        ours="True as long as the camera stands still. A thing 40 px wide before a still background; the tracker "
-        "z-regions tells the middle of the region that changed most. It reads each region from both ends, over the "
-        "sum of the weights.",
+        ours="True as long as the camera stands still and the regions are small. A thing 40 px wide before a still "
+        "background; the tracker z-regions tells the middle of the region that changed most. It reads each region "
+        "from both ends, over the sum of the weights; with the thesis's 4 regions a thing in the middle of one is "
+        "out of sight.",
         alt="Told bearing over true bearing: with 16 regions a fine staircase along the diagonal, with 4 a coarse one.",
         size_in=(6, 3.4),
         draw=draw,

@@ -19,7 +19,7 @@ from rich.progress import Progress
 
 from base_station.errors import StationError
 from base_station.evaluation.thesis import comparison, comparison_plates, method_plates, region_plates, shift_plates
-from base_station.evaluation.thesis.comparison import CASES, Tally
+from base_station.evaluation.thesis.comparison import CASES, Case, Tally
 from base_station.evaluation.thesis.page import page
 from base_station.evaluation.thesis.pictures import SCENES, read_pictures, room
 from base_station.evaluation.thesis.plotting import DARK, LIGHT, Plate, require, save
@@ -37,15 +37,20 @@ class Effort:
     """In the experiments of chapter 4."""
     scene_pictures: int
     """Per case of the comparison."""
+    cases: tuple[Case, ...]
     frames: int
     jumps: int
     dpi: int
     dark: bool
     """Every figure a second time, for a dark page."""
+    tidy: bool
+    """See `save`."""
 
 
-FULL = Effort(pictures=20, scene_pictures=4, frames=60, jumps=10, dpi=140, dark=True)
-QUICK = Effort(pictures=1, scene_pictures=1, frames=4, jumps=1, dpi=50, dark=False)
+FULL = Effort(pictures=20, scene_pictures=3, cases=CASES, frames=60, jumps=10, dpi=140, dark=True, tidy=True)
+QUICK = Effort(
+    pictures=1, scene_pictures=1, cases=(CASES[0], CASES[-1]), frames=4, jumps=1, dpi=50, dark=False, tidy=False
+)
 README_DPI = 90
 
 
@@ -86,7 +91,7 @@ def _make(
 ) -> None:
     cv2.setNumThreads(1)
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("chapters 2 and 4", total=14 + len(CASES) + 3)
+        task = progress.add_task("chapters 2 and 4", total=14 + len(effort.cases) + 3)
         sections: list[tuple[str, list[Plate]]] = []
         chapters = _chapters(effort, own, options.seed)
         plates: list[Plate] = []
@@ -99,7 +104,7 @@ def _make(
         progress.update(task, description="the comparison")
         results: dict[str, dict[str, Tally]] = {}
         trackers = comparison.contenders()
-        for case in CASES:
+        for case in effort.cases:
             pictures = comparison.scene_pictures(case, own, seed=options.seed, count=effort.scene_pictures)
             results[case.name] = comparison.run_case(case, pictures, trackers, frames=effort.frames, seed=options.seed)
             progress.advance(task)
@@ -148,9 +153,9 @@ def _chapters(effort: Effort, own: list[np.ndarray] | None, seed: int) -> Iterat
 
 def _draw_all(plates: list[Plate], options: argparse.Namespace, effort: Effort) -> None:
     for plate in plates:
-        save(plate, options.out / f"{plate.name}.png", LIGHT, dpi=effort.dpi)
+        save(plate, options.out / f"{plate.name}.png", LIGHT, dpi=effort.dpi, tidy=effort.tidy)
         if effort.dark:
-            save(plate, options.out / f"{plate.name}-dark.png", DARK, dpi=effort.dpi)
+            save(plate, options.out / f"{plate.name}-dark.png", DARK, dpi=effort.dpi, tidy=effort.tidy)
         if options.readme is not None and plate.for_readme:
             save(plate, options.readme / f"{plate.name}.png", LIGHT, dpi=README_DPI)
 

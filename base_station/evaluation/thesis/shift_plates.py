@@ -91,8 +91,8 @@ def equation_solving(picture: np.ndarray) -> Plate:
         thesis="The error over n0 at z = 0.9, of which the text says that “the solution doesn't converge”. The "
         "figure itself is known by its caption only.",
         ours="Listing A.3 as it stands, its slips included, n0 = 1..10, for a shift of 10. On its own artificial "
-        "pair the error does vanish at the true n0, though against numbers of 10¹⁶; on two views of a camera it has "
-        "its smallest value at 1 or 2, whatever the shift.",
+        "pair the error does vanish at the true n0, though among numbers of 10¹⁶ and more; on two views of a camera "
+        "it has its smallest value at 1 or 2, whatever the shift.",
         alt="Two curves of the error over n0 from 1 to 10. With zeros at the border it falls to zero at 10; with "
         "real pixels it grows from n0 = 1 on.",
         size_in=(9, 3.0),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from base_station.evaluation.thesis.listings import half, transform
+from base_station.evaluation.thesis.pictures import ROWS, view
 from base_station.evaluation.thesis.plotting import Palette, Plate
 
 STEP_LOW, STEP_HIGH, STEP_FROM, STEP_TO, STEP_LENGTH = 0.2, 0.5, 10, 70, 100
@@ -51,9 +52,9 @@ def fourier_and_z() -> Plate:
         size_in=(10, 2.9),
         draw=draw,
         numbers=(
-            (f"share of X(z), z = {z}, that pixels 60 and on make", f"{lost(fading)[60]:.2%}"),
-            ("the same of the Fourier transform, 3 periods", f"{lost(turning)[60]:.0%}"),
-            ("the same of X(z), z = 0.9", f"{lost(signal * 0.9**-n)[60]:.0%}"),
+            (f"share of X(z), z = {z}, that pixels 60 and on make", f"{100 * lost(fading)[60]:.1f} %"),
+            ("the same of the Fourier transform, 3 periods", f"{100 * lost(turning)[60]:.0f} %"),
+            ("the same of X(z), z = 0.9", f"{100 * lost(signal * 0.9**-n)[60]:.0f} %"),
         ),
     )
 
@@ -100,7 +101,7 @@ def laplace_cells() -> Plate:
         draw=draw,
         numbers=(
             (
-                "width of a time cell's field over its peak time: first, fourth",
+                "width of a time cell's field over its peak time: first cell, fourth (the same: logarithmic)",
                 f"{width(cells[0]) / peaks[0]:.2f}, {width(cells[3]) / peaks[3]:.2f}",
             ),
         ),
@@ -110,7 +111,7 @@ def laplace_cells() -> Plate:
 
 def row_and_transform(picture: np.ndarray) -> Plate:
     """Figure 3.5: a row, the weights, and what is summed, at three z."""
-    row = half(picture[len(picture) // 2])
+    row = half(view(picture)[ROWS // 2])
     n = np.arange(len(row))
     zs = (0.9, 1.0, 1.1)
 
@@ -143,7 +144,7 @@ def row_and_transform(picture: np.ndarray) -> Plate:
         size_in=(10, 2.9),
         draw=draw,
         numbers=(
-            *((f"share of X({z}) that the last 10 pixels make", f"{last_share(z):.2%}") for z in zs),
+            *((f"share of X({z}) that the last 10 pixels make", f"{100 * last_share(z):.2g} %") for z in zs),
             ("weight of the last pixel over the first, z = 0.9", f"{0.9 ** -float(n[-1]):.1e}"),
             ("X(0.9), X(1.1)", f"{float(transform(row, 0.9).real):.2e}, {float(transform(row, 1.1).real):.0f}"),
         ),

@@ -60,11 +60,11 @@ class ZRegionsTracker:
             raise ValueError("the box is outside of the frame")
         if min(box.width, box.height) < settings.smallest_side_px or width < 4 * settings.regions:
             raise ValueError(f"the target or the frame is too small: {box.width:.0f}x{box.height:.0f} px of {width}")
-        texture = texture_of(frame.image, max(1, width // 32))
-        if texture < settings.least_texture:
-            raise ValueError(f"featureless: the view's texture is {texture:.1f} grey levels")
         first = round(box.center_px[1] - settings.rows / 2 + 0.5)
         self._rows = max(first, 0), min(max(first, 0) + settings.rows, height)
+        texture = self._texture(frame.image)
+        if texture < settings.least_texture:
+            raise ValueError(f"featureless: the texture of the target's rows is {texture:.1f} grey levels")
         self._shape = frame.image.shape
         self._profile = self._read(frame.image)
 
@@ -75,9 +75,9 @@ class ZRegionsTracker:
         if frame.image.shape != self._shape:
             now, then = frame.image.shape, self._shape
             return _lost(f"the frame is {now[1]}x{now[0]}, learned in {then[1]}x{then[0]}")
-        texture = texture_of(frame.image, max(1, self._shape[1] // 32))
+        texture = self._texture(frame.image)
         if texture < self._settings.least_texture:
-            return _lost(f"featureless: the view's texture is {texture:.1f} grey levels")
+            return _lost(f"featureless: the texture of the target's rows is {texture:.1f} grey levels")
         changes = self.changes(frame.image)
         most = int(changes.argmax())
         if changes[most] < self._settings.least_change:
@@ -105,6 +105,10 @@ class ZRegionsTracker:
         band = image[self._rows[0] : self._rows[1]]
         return cv2.reduce(band, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel() / len(band)
 
+    def _texture(self, image: np.ndarray) -> float:
+        band = image[self._rows[0] : self._rows[1]]
+        return texture_of(band, max(1, min(band.shape[1] // 32, len(band) // 3)))
+
     def _transform(self, profile: np.ndarray) -> np.ndarray:
         out = np.empty((self._settings.regions, len(self._z), 2))
         transform_regions(profile, self._settings.regions, self._z, out)
@@ -112,11 +116,22 @@ class ZRegionsTracker:
 
 
 def _in_the_light_of(profile: np.ndarray, learned: np.ndarray) -> np.ndarray:
-    """The profile with the learned one's median and quartiles: what has moved within the view leaves these alone."""
+    """The profile at the gain and offset that suit the half of it which has changed least (least trimmed squares).
+
+    Begun from the quartiles, which a thing that moves leaves nearly alone.
+    """
     low, middle, high = np.percentile(profile, (25, 50, 75))
     learned_low, learned_middle, learned_high = np.percentile(learned, (25, 50, 75))
     gain = (learned_high - learned_low) / (high - low) if high - low > 1 else 1.0
-    return (profile - middle) * gain + learned_middle
+    lit = (profile - middle) * gain + learned_middle
+    for _ in range(3):
+        off = np.abs(lit - learned)
+        kept = off <= np.median(off)
+        now, then = profile[kept], learned[kept]
+        spread = ((now - now.mean()) ** 2).mean()
+        gain = ((now - now.mean()) * (then - then.mean())).mean() / spread if spread > 1 else 1.0
+        lit = (profile - now.mean()) * (gain if gain > 0 else 1.0) + then.mean()
+    return lit
 
 
 def _lost(reason: str) -> TrackerResult:
