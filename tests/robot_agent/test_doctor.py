@@ -89,7 +89,11 @@ class Floor:
 def test_it_drives_for_as_long_as_it_should_with_equal_wheels_and_then_stands():
     floor = Floor()
     floor.drive()
-    assert {wheels[1:] for wheels in floor.asked[:-1]} == {(200, 200)}
+    asked = [(left, right) for _, left, right in floor.asked[:-1]]
+    assert all(left == right for left, right in asked)
+    assert [left for left, _ in asked] == sorted(left for left, _ in asked)
+    assert asked[0][0] <= 10, "it starts slowly"
+    assert all(units == (200, 200) for (at_s, *_), units in zip(floor.asked, asked, strict=False) if at_s > 1.01)
     assert floor.asked[-1] == (pytest.approx(3.0, abs=0.03), 0, 0)
 
 

@@ -7,11 +7,12 @@ import numpy as np
 NOISE_FACTOR = 3.0
 
 
-def texture_of(image: np.ndarray, block: int) -> float:
+def texture_of(image: np.ndarray, block: int, *, noise_factor: float = NOISE_FACTOR) -> float:
     """Texture in grey levels: root mean square of second differences of block means, less what noise would give.
 
     Second differences do not see an even light, nor one that falls off evenly across a wall. The noise is estimated
-    from the differences inside of blocks. `image`: (height, width), `block`: px; 0 if the image has under 3x3 blocks.
+    from second differences of pixels, so that a block of 1 px knows none. `image`: (height, width), `block`: px;
+    0 if the image has under 3x3 blocks, or less texture than `noise_factor` times what noise alone gives.
     """
     rows, columns = image.shape[0] // block, image.shape[1] // block
     if min(rows, columns) < 3:
@@ -22,8 +23,9 @@ def texture_of(image: np.ndarray, block: int) -> float:
     down = means[2:] - 2 * means[1:-1] + means[:-2]
     power = float(max((across**2).mean(), (down**2).mean()))
     if block > 1:
-        fine = cut[:: block // 2, 1:].astype(np.float32) - cut[:: block // 2, :-1]
-        noise = 1.4826 * float(np.median(np.abs(fine))) / np.sqrt(2)
-        if noise * NOISE_FACTOR * np.sqrt(6) / block > np.sqrt(power):
+        lines = cut[:: block // 2].astype(np.float32)
+        fine = lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2]
+        noise = 1.4826 * float(np.median(np.abs(fine))) / np.sqrt(6)
+        if noise * noise_factor * np.sqrt(6) / block > np.sqrt(power):
             return 0.0
     return float(np.sqrt(power))

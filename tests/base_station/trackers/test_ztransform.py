@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.tracker import ZTransformTracker
-from base_station.types import Box, TrackingState
+from base_station.types import Box, Frame, TrackingState
 
 TARGET = Box.around(319.5, 239.5, 200, 180)
 LIGHTS = {
@@ -165,3 +166,15 @@ def test_is_found_in_another_row_while_lost(make_world):
     results = [tracker.update(world.frame(world.view(60, 75, 0.9, noise=3), 3 + n)) for n in range(8)]
     assert results[-1].state is TrackingState.TRACKING
     assert results[-1].shift_y_px == pytest.approx(75, abs=0.5)
+
+
+@pytest.mark.parametrize("sigma", [1, 2, 5, 10])
+@pytest.mark.parametrize("target", [Box.around(319.5, 239.5, 240, 180), Box.around(200, 300, 60, 40), None])
+def test_a_plain_wall_is_not_learned_for_its_noise(sigma, target):
+    """It would be followed to anywhere: the patch has the noise's texture."""
+    wall = np.linspace(110, 130, 640)[None] + np.random.default_rng(sigma).normal(0, sigma, (480, 640))
+    frame = Frame(
+        image=np.clip(wall, 0, 255).astype(np.uint8), number=1, time_s=0.0, camera=PinholeCamera.with_fov(640, 480)
+    )
+    with pytest.raises(ValueError, match="featureless"):
+        ZTransformTracker().learn(frame, target)
