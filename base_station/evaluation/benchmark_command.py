@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
@@ -28,6 +27,7 @@ from base_station.evaluation.benchmark_report import (
 from base_station.evaluation.conditions import CONDITIONS
 from base_station.evaluation.costs import Costs, measure_costs
 from base_station.evaluation.goals import Goal, goals_of
+from base_station.evaluation.tool import run_tool
 from base_station.evaluation.tracker_benchmark import (
     BenchmarkScores,
     BenchmarkSettings,
@@ -74,24 +74,13 @@ class Benchmark:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
-    try:
-        command = tyro.cli(Benchmark, prog=PROG, args=arguments, config=(tyro.conf.OmitArgPrefixes,))
-    except SystemExit as end:  # after --help, or after having said what was wrong
-        return 2 if end.code else 0
+    return run_tool(Benchmark, PROG, arguments, _run)
+
+
+def _run(command: Benchmark, arguments: Sequence[str]) -> None:
     console = Console()
     if not console.is_terminal:
         console.width = PLAIN_WIDTH  # of a file there is no width to keep to
-    try:
-        _run(command, console, sys.argv[1:] if arguments is None else arguments)
-        return 0
-    except KeyboardInterrupt:
-        return 1
-    except StationError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 2 if error.usage else 1
-
-
-def _run(command: Benchmark, console: Console, arguments: Sequence[str]) -> None:
     settings = _checked(command)
     worlds = _worlds(command, console)
     threads = cv2.getNumThreads()

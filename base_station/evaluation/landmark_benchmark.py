@@ -19,11 +19,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import tyro
 from threadpoolctl import threadpool_limits
 
 from base_station.errors import StationError
 from base_station.evaluation.benchmark_report import machine_line
+from base_station.evaluation.tool import run_tool
 from base_station.evaluation.worlds import VIEW_COLUMNS, VIEW_ROWS, World, generated_world, photographed_worlds
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.lookup import LandmarkMemory
@@ -257,26 +257,21 @@ def _print(scores: LandmarkScores) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Returns the exit code."""
-    try:
-        run = tyro.cli(LandmarkBenchmark, prog="benchmark-landmarks", args=arguments)
-    except SystemExit as end:
-        return 2 if end.code else 0
-    try:
-        if not 1 <= run.landmarks <= 4096 or not 3 <= run.frames <= 100_000:
-            raise StationError("--landmarks must be 1..4096, --frames 3..100000.", usage=True)
-        cv2.setNumThreads(1)
-        with threadpool_limits(1):
-            known, unknown = _worlds(run)
-            print(f"{machine_line()}; seed {run.seed}")
-            scores = run_landmark_benchmark(known, unknown, landmarks=run.landmarks, frames=run.frames, seed=run.seed)
-        _print(scores)
-        if run.json is not None:
-            run.json.write_text(json.dumps(asdict(scores), indent=2) + "\n", encoding="utf-8")
-    except (StationError, OSError) as error:
-        print(f"benchmark-landmarks: {error}", file=sys.stderr)
-        return 2 if isinstance(error, StationError) and error.usage else 1
-    return 0
+    """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
+    return run_tool(LandmarkBenchmark, "benchmark-landmarks", arguments, _run)
+
+
+def _run(run: LandmarkBenchmark, _arguments: Sequence[str]) -> None:
+    if not 1 <= run.landmarks <= 4096 or not 3 <= run.frames <= 100_000:
+        raise StationError("--landmarks must be 1..4096, --frames 3..100000.", usage=True)
+    cv2.setNumThreads(1)
+    with threadpool_limits(1):
+        known, unknown = _worlds(run)
+        print(f"{machine_line()}; seed {run.seed}")
+        scores = run_landmark_benchmark(known, unknown, landmarks=run.landmarks, frames=run.frames, seed=run.seed)
+    _print(scores)
+    if run.json is not None:
+        run.json.write_text(json.dumps(asdict(scores), indent=2) + "\n", encoding="utf-8")
 
 
 def _worlds(run: LandmarkBenchmark) -> tuple[Sequence[World], Sequence[World]]:

@@ -20,6 +20,7 @@ from rich.table import Table
 from base_station.errors import StationError
 from base_station.evaluation.benchmark_report import machine, machine_line
 from base_station.evaluation.sequences import SequenceScore, find_sequences, mean_score
+from base_station.evaluation.tool import run_tool
 from base_station.evaluation.tracking_command import (
     check_options,
     plain_console,
@@ -56,18 +57,7 @@ class Benchmark:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
-    try:
-        command = tyro.cli(Benchmark, prog=PROG, args=arguments, config=(tyro.conf.OmitArgPrefixes,))
-    except SystemExit as end:  # after --help, or after having said what was wrong
-        return 2 if end.code else 0
-    try:
-        _run(command, sys.argv[1:] if arguments is None else arguments)
-        return 0
-    except KeyboardInterrupt:
-        return 1
-    except StationError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 2 if error.usage else 1
+    return run_tool(Benchmark, PROG, arguments, _run)
 
 
 def _run(command: Benchmark, arguments: Sequence[str]) -> None:
