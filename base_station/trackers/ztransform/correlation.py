@@ -37,8 +37,8 @@ class Peak:
     height: float
     """1 for the patch that was learned, had nothing else been learned since."""
     sharpness: float
-    """By how many standard deviations of all answers it stands out of them. Of 270 looks at other photographs 99 % stayed
-    below 6, whatever their contrast; the mirrored picture reached 10."""
+    """By how many standard deviations of all answers it stands out of them. Of 270 looks at other photographs 99 %
+    stayed below 6, whatever their contrast; the mirrored picture reached 10."""
     rows: float
     columns: float
 
