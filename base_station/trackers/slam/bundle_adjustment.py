@@ -1,8 +1,8 @@
 """Bundle adjustment by pycolmap (Ceres): keyframes and points together, so that all observations fit best.
 
-pycolmap measures every residual in pixels of the camera that saw it, and a keypoint found on a coarse pyramid level is
-less sure. So a keyframe is given to it as a *rig* of cameras in one place, one for each level, with that level's pixels:
-then every residual counts by its own uncertainty.
+pycolmap measures every residual in pixels of the camera that saw it, and a keypoint found on a coarse pyramid level
+is less sure. So a keyframe is given to it as a *rig* of cameras in one place, one for each level, with that level's
+pixels: then every residual counts by its own uncertainty.
 
 `BundleAdjuster.solve()` holds the interpreter's lock: this belongs into the mapper's process. Nothing else here imports
 pycolmap.

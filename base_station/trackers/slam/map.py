@@ -6,8 +6,9 @@ Rows are numbered for good: a culled keyframe or point stays as a dead row, and 
 
 An atlas of maps is one more column: `component`. Keyframes and points of different components share no coordinates.
 
-There is one writer, the mapper. It marks the rows that it changes; `take_changes` packs them, and `apply` brings another
-Map (the tracker's own copy) to the same state: the tracker never waits for the mapper, and never sees a half-made change.
+There is one writer, the mapper. It marks the rows that it changes; `take_changes` packs them, and `apply` brings
+another Map (the tracker's own copy) to the same state: the tracker never waits for the mapper, and never sees a
+half-made change.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ POINT_COLUMNS = (
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened, in a word."""
+    """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened."""
 
     keyframes: np.ndarray
     points: np.ndarray
@@ -93,7 +94,7 @@ class Map:
     def add_keyframe(
         self, row: int, time_s: float, pose: np.ndarray, features: Features, point_of: np.ndarray, component: int
     ) -> None:
-        """A keyframe in row `row` (numbers only go up). `point_of` (n,): the point each of its features shows, or -1."""
+        """A keyframe in row `row`; numbers only go up. `point_of` (n,): the point each feature shows, or -1."""
         while row >= len(self.poses):
             self._grow_keyframes()
         self.keyframe_count = max(self.keyframe_count, row + 1)

@@ -14,7 +14,7 @@ import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor
-from base_station.trackers.slam.initialization import InitialPair, Initializer
+from base_station.trackers.slam.initialization import Initializer, InitialPair
 from base_station.trackers.slam.keyframe_decision import wants_keyframe
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import NewKeyframe, NewMap
@@ -164,8 +164,7 @@ class SlamSystem:
     def _reference_matches(self, reference: int) -> int:
         mine = self._map.point_of[reference]
         mine = mine[mine >= 0]
-        least = 3 if len(self._map.keyframes_alive(self._component)) > 2 else 2
-        return int((self._map.point_alive[mine] & (self._map.observed[mine] >= least)).sum())
+        return int(self._map.point_alive[mine].sum())
 
     def _keep(self, picture: Picture, reference: int, relative: np.ndarray) -> None:
         began = time.perf_counter()

@@ -80,7 +80,7 @@ def parallax_cosines(points: np.ndarray, center_one: np.ndarray, center_two: np.
 def chi_squares(
     cam_from_world: np.ndarray, points: np.ndarray, uv_px: np.ndarray, sigma_px: np.ndarray, intrinsics: np.ndarray
 ) -> np.ndarray:
-    """Squared reprojection errors over their variances, (n,); infinite behind the camera and for points that are NaN."""
+    """Squared reprojection errors over their variances, (n,); infinite behind the camera and for NaN points."""
     x, y, z = (points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]).T
     fx, fy, cx, cy = intrinsics
     with np.errstate(divide="ignore", invalid="ignore"):
