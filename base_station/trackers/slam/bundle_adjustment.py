@@ -10,33 +10,16 @@ pycolmap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from base_station.errors import StationError
+from base_station.trackers.slam.bundle_problem import BundleProblem
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 
 LONGEST_SOLVE_S = 5.0
-
-
-@dataclass(frozen=True)
-class BundleProblem:
-    """K keyframes, P points, N observations.
-
-    `poses` (K, 4, 4) cam_from_world, `fixed` (K,) bool: those that must not move; `points` (P, 3). Observation i is
-    keyframe `keyframe[i]` seeing point `point[i]` at `uv_px[i]` on pyramid level `octave[i]`.
-    """
-
-    poses: np.ndarray
-    fixed: np.ndarray
-    points: np.ndarray
-    keyframe: np.ndarray
-    point: np.ndarray
-    uv_px: np.ndarray
-    octave: np.ndarray
 
 
 def load_pycolmap() -> ModuleType:

@@ -149,29 +149,49 @@ def _detect(detector: cv2.FastFeatureDetector, image: np.ndarray, x: int, y: int
 
 
 def spread(xy: np.ndarray, scores: np.ndarray, cell_px: float, width: int, height: int, count: int) -> np.ndarray:
-    """Indices of `count` corners at the most, taken in turns from square cells, the best of each cell first."""
-    inside = np.flatnonzero(
-        (xy[:, 0] >= BORDER_PX)
-        & (xy[:, 1] >= BORDER_PX)
-        & (xy[:, 0] < width - BORDER_PX)
-        & (xy[:, 1] < height - BORDER_PX)
-    )
-    order = inside[np.argsort(-scores[inside], kind="stable")]
-    columns = int(width / cell_px) + 1
-    cells = (xy[order, 0] / cell_px).astype(np.int64) + columns * (xy[order, 1] / cell_px).astype(np.int64)
-    turns = _ranks(cells, columns * (int(height / cell_px) + 1))
-    return order[np.argsort(turns, kind="stable")[:count]]
+    """Indices of `count` corners at the most, taken in turns from square cells, the best of each cell first.
+
+    `xy` (n, 2) px, `scores` (n,): whole numbers 0..255, as FAST gives them. Corners too near to the border are left out.
+    """
+    return _spread(xy, scores, cell_px, width, height, count)
 
 
 @njit(cache=True, nogil=True)
-def _ranks(cells, cell_count):
-    """Of each corner in order: how many of its cell came before it."""
-    seen = np.zeros(cell_count, np.int64)
-    ranks = np.empty(len(cells), np.int64)
-    for i in range(len(cells)):
-        ranks[i] = seen[cells[i]]
-        seen[cells[i]] += 1
-    return ranks
+def _spread(xy, scores, cell_px, width, height, count):
+    columns = int(width / cell_px) + 1
+    cells = np.full(len(xy), -1, np.int32)
+    by_score = np.zeros(257, np.int32)
+    for i in range(len(xy)):
+        x, y = xy[i, 0], xy[i, 1]
+        if x >= BORDER_PX and y >= BORDER_PX and x < width - BORDER_PX and y < height - BORDER_PX:
+            cells[i] = int(x / cell_px) + columns * int(y / cell_px)
+            by_score[256 - min(max(int(scores[i]), 0), 255)] += 1
+    for s in range(1, 257):
+        by_score[s] += by_score[s - 1]
+    order = np.empty(by_score[256], np.int32)
+    for i in range(len(xy)):
+        if cells[i] >= 0:
+            s = 255 - min(max(int(scores[i]), 0), 255)
+            order[by_score[s]] = i
+            by_score[s] += 1
+    seen = np.zeros(columns * (int(height / cell_px) + 1), np.int32)
+    turns = np.empty(len(order), np.int32)
+    most = 0
+    for n in range(len(order)):
+        cell = cells[order[n]]
+        turns[n] = seen[cell]
+        seen[cell] += 1
+        most = max(most, seen[cell])
+    picked = np.empty(min(count, len(order)), np.int64)
+    n = 0
+    for turn in range(most):
+        for k in range(len(order)):
+            if turns[k] == turn:
+                if n == len(picked):
+                    return picked
+                picked[n] = order[k]
+                n += 1
+    return picked
 
 
 _HALF_WIDTHS = np.array([int((PATCH_RADIUS_PX**2 - v * v) ** 0.5 + 0.5) for v in range(PATCH_RADIUS_PX + 1)])

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 class KeyframeSettings:
     """When a picture is kept."""
 
-    seen_share: float = 0.9
+    seen_share: float = 0.6
     """Of the reference keyframe's points that a picture must still see..."""
-    urgent_share: float = 0.6
+    urgent_share: float = 0.4
     """...and below which it is kept although the mapper is at work."""
-    most_frames: int = 30
+    most_frames: int = 20
     """Since the last keyframe, after which one is taken when the mapper is idle."""
     least_frames: int = 1
     """Since the last keyframe, before the next."""
@@ -27,13 +27,14 @@ class KeyframeSettings:
     """A picture that sees fewer points is no keyframe."""
 
 
-def wants_keyframe(
-    settings: KeyframeSettings, *, frames_since: int, matches: int, reference_matches: int, waiting: int
-) -> bool:
-    """Whether to keep this picture. `waiting`: keyframes that the mapper has not finished."""
+def wants_keyframe(settings: KeyframeSettings, *, frames_since: int, matches: int, share: float, waiting: int) -> bool:
+    """Whether to keep this picture.
+
+    `share`: of the reference keyframe's points, those that it sees; `waiting`: keyframes that the mapper has not
+    finished.
+    """
     if matches < settings.least_matches or frames_since < settings.least_frames or waiting > settings.queue:
         return False
-    share = matches / max(reference_matches, 1)
     if waiting:
         return share < settings.urgent_share
     return share < settings.seen_share or frames_since >= settings.most_frames

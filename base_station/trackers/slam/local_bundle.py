@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from base_station.trackers.slam.bundle_adjustment import BundleProblem, bundle_adjust
+from base_station.trackers.slam.bundle_kernels import adjust_small
+from base_station.trackers.slam.bundle_problem import BundleProblem
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
@@ -69,7 +70,7 @@ def adjust(
     problem = BundleProblem(
         world.poses[keyframes], fixed, world.xyz[used], position[seers], point, uv, octave
     )  # fmt: skip
-    poses, xyz = bundle_adjust(problem, camera.intrinsics, world.scales, iterations=iterations)
+    poses, xyz = adjust_small(problem, camera.intrinsics, world.scales, iterations=iterations)
     if not (np.isfinite(poses).all() and np.isfinite(xyz).all()):
         return
     world.poses[moving] = poses[: len(moving)]

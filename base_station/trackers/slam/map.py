@@ -328,7 +328,8 @@ def _medoids(looks, starts, counts):
                 total += hamming(looks[first + i], looks[first + j])
             if total < least:
                 best, least = i, total
-        result[g] = looks[first + best]
+        for word in range(4):
+            result[g, word] = looks[first + best, word]
     return result
 
 

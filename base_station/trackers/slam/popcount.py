@@ -23,7 +23,7 @@ def _ones(typing_context, word):
     return types.uint64(types.uint64), generate
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def hamming(a, b):
     """Bits in which two descriptors (4,) uint64 differ: 0..256."""
     return np.int64(_ones(a[0] ^ b[0]) + _ones(a[1] ^ b[1]) + _ones(a[2] ^ b[2]) + _ones(a[3] ^ b[3]))

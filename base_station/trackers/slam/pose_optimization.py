@@ -76,8 +76,10 @@ def chi2_of(pose, point, u, v, weight, intrinsics):
 @njit(cache=True, nogil=True)
 def _linearize(pose, points, uv, weights, used, intrinsics, robust, information, gradient):
     """Fill the normal equations (6, 6) and (6,); the cost comes back."""
-    information[:] = 0.0
-    gradient[:] = 0.0
+    for a in range(6):
+        gradient[a] = 0.0
+        for b in range(6):
+            information[a, b] = 0.0
     cost = 0.0
     fx, fy = intrinsics[0], intrinsics[1]
     ju, jv = np.empty(6), np.empty(6)
@@ -171,8 +173,9 @@ def _optimize_pose(start, points, uv, weights, intrinsics):
         damping = 1e-6
         cost = _linearize(pose, points, uv, weights, used, intrinsics, robust, information, gradient)
         for _ in range(ITERATIONS):
-            damped[:] = information
             for a in range(6):
+                for b in range(6):
+                    damped[a, b] = information[a, b]
                 damped[a, a] += damping * information[a, a] + 1e-12
             step, solved = solve_spd(damped, gradient)
             if not solved:

@@ -60,8 +60,10 @@ def exponential(twist):
     else:
         a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
         c = (1.0 - a) / angle2
-    w = np.array([[0.0, -wz, wy], [wz, 0.0, -wx], [-wy, wx, 0.0]])
-    pose = np.eye(4)
+    w, pose = np.zeros((3, 3)), np.zeros((4, 4))
+    w[0, 1], w[0, 2], w[1, 2] = -wz, wy, -wx
+    w[1, 0], w[2, 0], w[2, 1] = wz, -wy, wx
+    pose[3, 3] = 1.0
     for i in range(3):
         along = 0.0
         for j in range(3):
@@ -76,7 +78,8 @@ def exponential(twist):
 @njit(cache=True, nogil=True)
 def compose(a, b):
     """a @ b of two poses. Compiled code has no matrix product without SciPy, which nothing else here needs."""
-    pose = np.eye(4)
+    pose = np.zeros((4, 4))
+    pose[3, 3] = 1.0
     for i in range(3):
         pose[i, 3] = a[i, 3]
         for j in range(3):

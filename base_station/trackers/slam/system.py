@@ -154,17 +154,22 @@ class SlamSystem:
             self.settings.keyframes,
             frames_since=self._counts.frames - self._keyframe_frame,
             matches=found.matches,
-            reference_matches=self._reference_matches(reference),
+            share=self._share_seen(picture, reference),
             waiting=self._link.waiting(),
         )
         if kept:
             self._keep(picture, reference, relative)
         return SlamFrame(TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches)
 
-    def _reference_matches(self, reference: int) -> int:
-        mine = self._map.point_of[reference]
+    def _share_seen(self, picture: Picture, reference: int) -> float:
+        """Of the points that the reference keyframe sees surely, those that the picture sees."""
+        world = self._map
+        mine = world.point_of[reference]
         mine = mine[mine >= 0]
-        return int(self._map.point_alive[mine].sum())
+        sure = mine[world.point_alive[mine] & (world.observed[mine] >= 3)]
+        if len(sure) < self.settings.keyframes.least_matches:
+            sure = mine
+        return float(np.isin(sure, picture.point_of).mean()) if len(sure) else 0.0
 
     def _keep(self, picture: Picture, reference: int, relative: np.ndarray) -> None:
         began = time.perf_counter()

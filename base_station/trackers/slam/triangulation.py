@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 from base_station.trackers.slam.se3 import inverse
@@ -25,48 +24,15 @@ def triangulate(
     intrinsics: np.ndarray,
 ) -> np.ndarray:
     """Points (n, 3) in the world, linear least squares over the four equations of the two views; NaN where none is."""
-    return _triangulate(
-        np.ascontiguousarray(one_from_world), np.ascontiguousarray(two_from_world),
-        np.asarray(uv_one_px, np.float64), np.asarray(uv_two_px, np.float64), intrinsics,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _triangulate(one, two, uv_one, uv_two, intrinsics):
-    points = np.empty((len(uv_one), 3))
-    rows = np.empty((4, 4))
-    for i in range(len(uv_one)):
-        for view in range(2):
-            pose = one if view == 0 else two
-            uv = uv_one[i] if view == 0 else uv_two[i]
-            x = (uv[0] - intrinsics[2]) / intrinsics[0]
-            y = (uv[1] - intrinsics[3]) / intrinsics[1]
-            for c in range(4):
-                rows[2 * view, c] = x * pose[2, c] - pose[0, c]
-                rows[2 * view + 1, c] = y * pose[2, c] - pose[1, c]
-        m = np.zeros((3, 3))
-        right = np.zeros(3)
-        for r in range(4):
-            for a in range(3):
-                right[a] -= rows[r, a] * rows[r, 3]
-                for b in range(3):
-                    m[a, b] += rows[r, a] * rows[r, b]
-        d = (
-            m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
-            - m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
-            + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
-        )
-        if not abs(d) > 1e-18:
-            points[i] = np.nan
-            continue
-        for c in range(3):
-            e = m.copy()
-            e[:, c] = right
-            points[i, c] = (
-                e[0, 0] * (e[1, 1] * e[2, 2] - e[1, 2] * e[2, 1])
-                - e[0, 1] * (e[1, 0] * e[2, 2] - e[1, 2] * e[2, 0])
-                + e[0, 2] * (e[1, 0] * e[2, 1] - e[1, 1] * e[2, 0])
-            ) / d
+    rows = []
+    for pose, uv in ((one_from_world, uv_one_px), (two_from_world, uv_two_px)):
+        xy = (np.asarray(uv, np.float64) - intrinsics[2:]) / intrinsics[:2]
+        rows += [xy[:, :1] * pose[2] - pose[0], xy[:, 1:] * pose[2] - pose[1]]
+    equations = np.stack(rows, axis=1)
+    normal = np.swapaxes(equations[..., :3], 1, 2) @ equations
+    solvable = np.abs(np.linalg.det(normal[..., :3])) > 1e-18
+    points = np.full((len(equations), 3), np.nan)
+    points[solvable] = -np.linalg.solve(normal[solvable, :, :3], normal[solvable, :, 3:])[..., 0]
     return points
 
 
