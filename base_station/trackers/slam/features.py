@@ -151,7 +151,7 @@ def _detect(detector: cv2.FastFeatureDetector, image: np.ndarray, x: int, y: int
 def spread(xy: np.ndarray, scores: np.ndarray, cell_px: float, width: int, height: int, count: int) -> np.ndarray:
     """Indices of `count` corners at the most, taken in turns from square cells, the best of each cell first.
 
-    `xy` (n, 2) px, `scores` (n,): whole numbers 0..255, as FAST gives them. Corners too near to the border are left out.
+    `xy` (n, 2) px, `scores` (n,): whole numbers 0..255, as FAST gives them. Not those near the border.
     """
     return _spread(xy, scores, cell_px, width, height, count)
 
