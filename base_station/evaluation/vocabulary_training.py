@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -69,10 +70,14 @@ def _run(options: Training, arguments: Sequence[str]) -> None:
     print(f"{options.output}: {vocabulary.size} words of {sum(map(len, pictures))} descriptors, {size / 1000:.0f} kB")
 
 
+def make_orb() -> Any:
+    """The ORB whose descriptors are learned."""
+    return cv2.ORB_create(FEATURES, SCALE_STEP, LEVELS, fastThreshold=FAST_THRESHOLD)  # type: ignore[attr-defined]
+
+
 def generated_descriptors(seed: int) -> list[np.ndarray]:
     """ORB descriptors (n, 32) uint8 of one generated world, an array per view."""
-    world, rng = generated_world(seed), np.random.default_rng([seed, 0xB0B])
-    orb = cv2.ORB_create(FEATURES, SCALE_STEP, LEVELS, fastThreshold=FAST_THRESHOLD)  # type: ignore[attr-defined]
+    world, rng, orb = generated_world(seed), np.random.default_rng([seed, 0xB0B]), make_orb()
     found = []
     for zoom in ZOOMS:
         dx, dy = rng.uniform(-AWAY_PX, AWAY_PX, 2)
