@@ -1,8 +1,9 @@
-"""Which keyframes look like this picture: an inverted index from visual words to the keyframes that have them.
+"""Which keyframes look like this picture: a scan over the visual words of all keyframes.
 
-Each word keeps a chain of entries (keyframe, weight) in a few growing arrays; a query walks the chains of its own words
-only. Two pictures are as similar as `Vocabulary.similarity` says. Neighbouring keyframes share much of their view: the
-caller adds up the scores of covisible keyframes before it decides.
+Two pictures are as similar as `Vocabulary.similarity` says. With ten thousand words every word is in a fifth of the
+keyframes, so an inverted index would be read all over the memory: it took 2 to 6 times as long as reading everything
+in order (600 and 2000 keyframes; 0.7 and 2.6 ms here). Neighbouring keyframes share much of their view: the caller adds
+up the scores of covisible keyframes before it decides.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from base_station.trackers.slam.vocabulary import Vocabulary
-from base_station.trackers.slam.vocabulary_kernels import walk_index
+from base_station.trackers.slam.vocabulary_kernels import scan
 
-FIRST_ENTRIES = 4096
+REMOVED = -1
 
 
 @dataclass(frozen=True)
@@ -29,14 +30,16 @@ class Place:
 
 
 class PlaceDatabase:
-    """Keyframes by their visual words. Keyframes are numbers of the caller's."""
+    """Keyframes by their visual words. Keyframes are numbers of the caller's, from 0 on."""
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self._vocabulary = vocabulary
         self._slots: dict[int, int] = {}
-        self._keyframes: list[int | None] = []
-        self._vectors: list[tuple[np.ndarray, np.ndarray]] = []
-        self._clear_index()
+        self._keyframes = np.empty(0, np.int64)
+        """Of each slot; REMOVED where there is none any more."""
+        self._starts = np.zeros(1, np.int64)
+        self._words, self._weights = np.empty(0, np.int32), np.empty(0, np.float32)
+        """With room behind the last start."""
 
     def __len__(self) -> int:
         return len(self._slots)
@@ -45,27 +48,39 @@ class PlaceDatabase:
         return keyframe in self._slots
 
     def add(self, keyframe: int, words: np.ndarray) -> None:
-        """`words`: of all its descriptors, as `Vocabulary.bow` gives them. Replaces one of the same number."""
+        """`words`: of all its descriptors, as `Vocabulary.bow` gives them. Replaces one of the same number.
+
+        Raises ValueError for a negative number.
+        """
+        if keyframe < 0:
+            raise ValueError(f"keyframes are numbered from 0 on, not {keyframe}")
         self.remove(keyframe)
+        found, weights = self._vocabulary.vector(words)
+        begin, end = int(self._starts[-1]), int(self._starts[-1]) + len(found)
+        if end > len(self._words):
+            room = max(2 * begin, end) - begin
+            self._words = np.concatenate([self._words[:begin], np.zeros(room, np.int32)])
+            self._weights = np.concatenate([self._weights[:begin], np.zeros(room, np.float32)])
+        self._words[begin:end], self._weights[begin:end] = found, weights
         self._slots[keyframe] = len(self._keyframes)
-        self._keyframes.append(keyframe)
-        self._vectors.append(self._vocabulary.vector(words))
-        self._index(len(self._keyframes) - 1)
+        self._keyframes = np.append(self._keyframes, keyframe)
+        self._starts = np.append(self._starts, end)
 
     def remove(self, keyframe: int) -> None:
-        """What is not there is not missed. The index is made anew when half of it is of removed keyframes."""
+        """What is not there is not missed. Its room is given back when half of the slots are removed ones."""
         slot = self._slots.pop(keyframe, None)
         if slot is None:
             return
-        self._keyframes[slot] = None
-        if len(self._slots) * 2 < len(self._keyframes):
-            kept = sorted(self._slots.values())
-            self._keyframes = [self._keyframes[slot] for slot in kept]
-            self._vectors = [self._vectors[slot] for slot in kept]
-            self._slots = {keyframe: slot for slot, keyframe in enumerate(self._keyframes) if keyframe is not None}
-            self._clear_index()
-            for slot in range(len(kept)):
-                self._index(slot)
+        self._keyframes[slot] = REMOVED
+        if 2 * len(self._slots) < len(self._keyframes):
+            kept = self._keyframes != REMOVED
+            lengths = np.diff(self._starts)
+            held = np.repeat(kept, lengths)
+            self._words = self._words[: self._starts[-1]][held]
+            self._weights = self._weights[: self._starts[-1]][held]
+            self._starts = np.concatenate([[0], np.cumsum(lengths[kept])])
+            self._keyframes = self._keyframes[kept]
+            self._slots = {int(number): slot for slot, number in enumerate(self._keyframes)}
 
     def query(
         self, words: np.ndarray, *, exclude: Collection[int] = (), least_shared: float = 0.0, most: int | None = None
@@ -77,41 +92,15 @@ class PlaceDatabase:
         `most`: give this many at the most.
         """
         found, weights = self._vocabulary.vector(words)
-        scores = np.zeros(len(self._keyframes), np.float32)
-        shared = np.zeros(len(self._keyframes), np.int32)
-        walk_index(found, weights, self._heads, self._following, self._holders, self._held_weights, scores, shared)
-        asked = np.array([keyframe is not None and keyframe not in exclude for keyframe in self._keyframes], bool)
-        asked &= shared > 0
+        weight_of = np.zeros(self._vocabulary.size, np.float32)
+        weight_of[found] = weights
+        scores, shared = np.empty(len(self._keyframes), np.float32), np.empty(len(self._keyframes), np.int32)
+        scan(weight_of, self._words, self._weights, self._starts, scores, shared)
+        asked = (shared > 0) & (self._keyframes != REMOVED)
+        asked[[self._slots[keyframe] for keyframe in exclude if keyframe in self._slots]] = False
         if not asked.any():
             return []
         asked &= shared >= least_shared * shared[asked].max()
         slots = np.flatnonzero(asked)
         slots = slots[np.argsort(-scores[slots], kind="stable")][:most]
-        keyframes = self._keyframes
-        return [
-            Place(keyframe, float(scores[slot]), int(shared[slot]))
-            for slot in slots
-            if (keyframe := keyframes[slot]) is not None
-        ]
-
-    def _clear_index(self) -> None:
-        self._heads = np.full(self._vocabulary.size, -1, np.int32)
-        self._following = np.empty(FIRST_ENTRIES, np.int32)
-        self._holders = np.empty(FIRST_ENTRIES, np.int32)
-        self._held_weights = np.empty(FIRST_ENTRIES, np.float32)
-        self._entries = 0
-
-    def _index(self, slot: int) -> None:
-        words, weights = self._vectors[slot]
-        begin, end = self._entries, self._entries + len(words)
-        if end > len(self._following):
-            room = max(2 * len(self._following), end)
-            self._following, self._holders, self._held_weights = (
-                np.concatenate([array[:begin], np.empty(room - begin, array.dtype)])
-                for array in (self._following, self._holders, self._held_weights)
-            )
-        self._following[begin:end] = self._heads[words]
-        self._heads[words] = np.arange(begin, end, dtype=np.int32)
-        self._holders[begin:end] = slot
-        self._held_weights[begin:end] = weights
-        self._entries = end
+        return [Place(int(self._keyframes[slot]), float(scores[slot]), int(shared[slot])) for slot in slots]

@@ -20,10 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from base_station.errors import StationError
-from base_station.trackers.slam.hamming import WORDS, as_words
+from base_station.trackers.slam.popcount import WORDS
 from base_station.trackers.slam.vocabulary_kernels import descend, majorities, nearest_center
 
 OWN_VOCABULARY = Path(__file__).with_name("vocabulary.npz")
+BYTES = 8 * WORDS
+"""Of a descriptor."""
 MOST_WORDS = 1 << 20
 MOST_FILE_BYTES = 64 << 20
 
@@ -119,6 +121,14 @@ class Vocabulary:
             raise StationError(f"The vocabulary {path} cannot be read ({error.strerror or error}).") from error
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise StationError(f"{path} is no vocabulary of visual words: {error}.") from error
+
+
+def as_words(descriptors: np.ndarray) -> np.ndarray:
+    """(n, 32) uint8 to (n, 4) uint64, without a copy where the rows are contiguous. Raises ValueError for any other
+    shape or type."""
+    if descriptors.ndim != 2 or descriptors.shape[1] != BYTES or descriptors.dtype != np.uint8:
+        raise ValueError(f"descriptors must be (n, {BYTES}) uint8, not {descriptors.shape} {descriptors.dtype}")
+    return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
 def train(pictures: Sequence[np.ndarray], settings: TreeSettings | None = None) -> Vocabulary:

@@ -1,11 +1,11 @@
-"""The compiled inner loops of the vocabulary tree and of the inverted index."""
+"""The compiled inner loops of the vocabulary tree and of the look-up of places."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from base_station.trackers.slam.hamming import distance
+from base_station.trackers.slam.popcount import hamming
 
 
 @njit(cache=True, nogil=True)
@@ -22,7 +22,7 @@ def descend(descriptors, centers, branching, depth, node_level, words, nodes):
             begin = first + node * branching
             nearest = 1 << 62
             for child in range(branching):  # distance and child in one number: their minimum needs no branch
-                nearest = min(nearest, distance(descriptors[n], centers[begin + child]) * 64 + child)
+                nearest = min(nearest, hamming(descriptors[n], centers[begin + child]) * 64 + child)
             node = node * branching + nearest % 64
             first += branching**level
             if level == node_level:
@@ -40,7 +40,7 @@ def nearest_center(descriptors, centers, owners):
     for n in range(len(descriptors)):
         nearest = 257
         for k in range(len(centers)):
-            bits = distance(descriptors[n], centers[k])
+            bits = hamming(descriptors[n], centers[k])
             if bits < nearest:
                 owners[n], nearest = k, bits
         total += nearest
@@ -72,17 +72,16 @@ def majorities(descriptors, owners, centers):
 
 
 @njit(cache=True, nogil=True)
-def walk_index(words, weights, heads, following, holders, held_weights, scores, shared):
-    """Add up what each place has in common with a picture: min of the weights, word by word, and how many words.
+def scan(weight_of, words, weights, starts, scores, shared):
+    """Of each place what it has in common with a picture: the sum of the lesser weights, and how many words.
 
-    `words`, `weights`: the picture's. `heads[word]`: the word's first entry, -1 for none; `following`: of each entry
-    the next one of its word; `holders`, `held_weights`: the place and the weight there. `scores` (float32) and
-    `shared` (int32), per place, start at zero.
+    `weight_of`: the picture's weight of every word there is, 0 where it has none. `words`, `weights`: those of all
+    places, one after the other, place n from `starts[n]` on; one more at the end. `scores`, `shared`: filled.
     """
-    for n in range(len(words)):
-        entry = heads[words[n]]
-        while entry >= 0:
-            place = holders[entry]
-            scores[place] += min(weights[n], held_weights[entry])
-            shared[place] += 1
-            entry = following[entry]
+    for n in range(len(scores)):
+        total, count = np.float32(0.0), 0
+        for at in range(starts[n], starts[n + 1]):
+            weight = weight_of[words[at]]
+            total += min(weight, weights[at])
+            count += weight > 0
+        scores[n], shared[n] = total, count

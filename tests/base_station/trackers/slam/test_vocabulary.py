@@ -1,4 +1,4 @@
-"""Visual words: the tree against a plain search, what it learns, the shipped file, and the index of places."""
+"""Visual words: the tree against a plain search, what it learns, the shipped file, and the database of places."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from base_station.errors import StationError
 from base_station.evaluation import vocabulary_training
 from base_station.evaluation.worlds import COLUMNS, ROWS, World, pink_noise
-from base_station.trackers.slam.hamming import as_words, distance
 from base_station.trackers.slam.place_database import PlaceDatabase
-from base_station.trackers.slam.vocabulary import OWN_VOCABULARY, TreeSettings, Vocabulary, train
+from base_station.trackers.slam.popcount import hamming
+from base_station.trackers.slam.vocabulary import OWN_VOCABULARY, TreeSettings, Vocabulary, as_words, train
 from base_station.trackers.slam.vocabulary_kernels import majorities, nearest_center
 
 SMALL = TreeSettings(branching=4, depth=3, node_level=2)
@@ -65,7 +65,7 @@ def test_distance_counts_differing_bits():
     rng = np.random.default_rng(0)
     one, two = rng.integers(0, 256, (2, 40, 32), np.uint8)
     expected = (np.unpackbits(one, axis=1) != np.unpackbits(two, axis=1)).sum(1)
-    assert [distance(a, b) for a, b in zip(as_words(one), as_words(two), strict=True)] == expected.tolist()
+    assert [hamming(a, b) for a, b in zip(as_words(one), as_words(two), strict=True)] == expected.tolist()
     for wrong in (one[:, :31], one.astype(np.int16), one[0]):
         with pytest.raises(ValueError, match="uint8"):
             as_words(wrong)
@@ -142,7 +142,7 @@ def test_similarity_is_of_bags(small):
     assert small.similarity(words, others[:0]) == 0
 
 
-def test_the_index_says_what_the_vocabulary_says(small):
+def test_the_database_says_what_the_vocabulary_says(small):
     database = PlaceDatabase(small)
     bags = {number: small.bow(clusters(number, count=30)[0])[0] for number in range(40)}
     for number, words in bags.items():
@@ -184,7 +184,7 @@ def test_removed_keyframes_are_gone_and_their_room_is_used_again(small):
     assert {place.keyframe: place.score for place in database.query(asked)} == pytest.approx(
         {number: score for number, score in expected.items() if score > 0}, abs=1e-6
     )
-    assert len(database._keyframes) < 2 * len(there) + 1
+    assert len(database._starts) < 2 * len(there) + 2
 
 
 def place(seed):
