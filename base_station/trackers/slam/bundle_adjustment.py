@@ -4,31 +4,20 @@ pycolmap measures every residual in pixels of the camera that saw it, and a keyp
 is less sure. So a keyframe is given to it as a *rig* of cameras in one place, one for each level, with that level's
 pixels: then every residual counts by its own uncertainty.
 
-`BundleAdjuster.solve()` holds the interpreter's lock: this belongs into the mapper's process. Nothing else here imports
-pycolmap.
+`BundleAdjuster.solve()` holds the interpreter's lock: this belongs into the mapper's process.
 """
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from base_station.errors import StationError
+from base_station.trackers.slam import libraries
 from base_station.trackers.slam.bundle_problem import BundleProblem
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 
 LONGEST_SOLVE_S = 5.0
-
-
-def load_pycolmap() -> ModuleType:
-    """pycolmap. Raises StationError, which names what to install."""
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise StationError("SLAM needs pycolmap: pip install 'zservo[slam]'") from error
-    return pycolmap
 
 
 def bundle_adjust(
@@ -39,7 +28,7 @@ def bundle_adjust(
     At least two keyframes, or one and a known distance, must be fixed, or the world would float; with none fixed,
     pycolmap fixes the first two. Robust: observations beyond the chi-square bound pull with a bounded force.
     """
-    colmap = load_pycolmap()
+    colmap = libraries.pycolmap()
     scene, images = _scene(colmap, problem, intrinsics, scales)
     config = colmap.BundleAdjustmentConfig()
     for image in images:
@@ -63,7 +52,7 @@ def bundle_adjust(
     return poses, points
 
 
-def _options(colmap: ModuleType, iterations: int, robust: bool) -> Any:
+def _options(colmap: Any, iterations: int, robust: bool) -> Any:
     options = colmap.BundleAdjustmentOptions()
     options.refine_focal_length = options.refine_principal_point = options.refine_extra_params = False
     options.refine_sensor_from_rig = options.print_summary = False
@@ -78,9 +67,7 @@ def _options(colmap: ModuleType, iterations: int, robust: bool) -> Any:
     return options
 
 
-def _scene(
-    colmap: ModuleType, problem: BundleProblem, intrinsics: np.ndarray, scales: np.ndarray
-) -> tuple[Any, list[int]]:
+def _scene(colmap: Any, problem: BundleProblem, intrinsics: np.ndarray, scales: np.ndarray) -> tuple[Any, list[int]]:
     """The problem as pycolmap has it, and the numbers of its images. All numbers there begin with 1."""
     scene, rig = colmap.Reconstruction(), colmap.Rig(rig_id=1)
     for level, scale in enumerate(scales):
@@ -125,7 +112,7 @@ def _scene(
 
 
 def _add_points(
-    colmap: ModuleType, scene: Any, problem: BundleProblem, image_of: np.ndarray, index_in_image: np.ndarray
+    colmap: Any, scene: Any, problem: BundleProblem, image_of: np.ndarray, index_in_image: np.ndarray
 ) -> None:
     order = np.argsort(problem.point, kind="stable")
     rows, first = np.unique(problem.point[order], return_index=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
@@ -16,9 +15,7 @@ def _ones(typing_context, word):
     """How many bits of a uint64 are set, by the processor's own instruction."""
 
     def generate(context, builder, signature, arguments):
-        kind = ir.IntType(64)
-        counter = builder.module.declare_intrinsic("llvm.ctpop", [kind])
-        return builder.call(counter, arguments)
+        return builder.ctpop(arguments[0])
 
     return types.uint64(types.uint64), generate
 
@@ -26,7 +23,10 @@ def _ones(typing_context, word):
 @njit(cache=True, nogil=True)
 def hamming(a, b):
     """Bits in which two descriptors (4,) uint64 differ: 0..256."""
-    return np.int64(_ones(a[0] ^ b[0]) + _ones(a[1] ^ b[1]) + _ones(a[2] ^ b[2]) + _ones(a[3] ^ b[3]))
+    bits = np.uint64(0)
+    for word in range(WORDS):
+        bits += _ones(a[word] ^ b[word])  # type: ignore[call-arg]  # numba itself gives the first argument
+    return np.int64(bits)
 
 
 def hamming_reference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
