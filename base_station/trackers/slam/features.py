@@ -55,6 +55,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.xy_px)
 
+    def part(self, rows: np.ndarray) -> Features:
+        """These features only."""
+        return Features(self.xy_px[rows], self.octave[rows], self.angle_deg[rows], self.descriptors[rows])
+
     @property
     def descriptor_bytes(self) -> np.ndarray:
         """(n, 32) uint8, OpenCV's layout."""
@@ -207,9 +211,9 @@ def _orientations(image, xy, half_widths):
     angles = np.empty(len(xy), np.float32)
     for i in range(len(xy)):
         column, row = int(xy[i, 0] + 0.5), int(xy[i, 1] + 0.5)
-        m10, m01 = 0, 0
+        m10, m01 = np.int64(0), np.int64(0)
         for v in range(-len(half_widths) + 1, len(half_widths)):
-            half, total = half_widths[abs(v)], 0
+            half, total = half_widths[abs(v)], np.int64(0)
             for u in range(-half, half + 1):
                 grey = np.int64(image[row + v, column + u])
                 m10 += u * grey

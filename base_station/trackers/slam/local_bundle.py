@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,7 @@ def adjust(
     camera: SlamCamera,
     *,
     iterations: int,
+    solver: Callable[..., tuple[np.ndarray, np.ndarray]] = adjust_small,
 ) -> None:
     """Bundle-adjust these keyframes and points in place; observations that do not fit are dropped then."""
     keyframes = np.concatenate([moving, holding]).astype(np.int64)
@@ -70,7 +72,7 @@ def adjust(
     problem = BundleProblem(
         world.poses[keyframes], fixed, world.xyz[used], position[seers], point, uv, octave
     )  # fmt: skip
-    poses, xyz = adjust_small(problem, camera.intrinsics, world.scales, iterations=iterations)
+    poses, xyz = solver(problem, camera.intrinsics, world.scales, iterations=iterations)
     if not (np.isfinite(poses).all() and np.isfinite(xyz).all()):
         return
     world.poses[moving] = poses[: len(moving)]

@@ -24,8 +24,12 @@ from base_station.trackers.slam.se3 import camera_centers, inverse
 
 NONE = -1
 MEDOID_MOST = 24
+LONGEST_CHAIN = 8
+"""Of points replaced by points replaced by others, that is followed."""
 FIRST_KEYFRAMES, FIRST_POINTS = 64, 4096
-KEYFRAME_COLUMNS = ("poses", "time_s", "component", "alive", "anchor", "cam_from_anchor", "point_of")
+KEYFRAME_COLUMNS = (
+    "poses", "sizes", "time_s", "component", "alive", "anchor", "anchor_size", "cam_from_anchor", "point_of"
+)  # fmt: skip
 POINT_COLUMNS = (
     "xyz", "descriptors", "normals", "nearest", "farthest", "point_alive", "replaced_by", "observed", "point_component",
 )  # fmt: skip
@@ -56,11 +60,14 @@ class Map:
         k, p = FIRST_KEYFRAMES, FIRST_POINTS
         self.poses = np.zeros((k, 4, 4))
         """cam_from_world."""
+        self.sizes = np.ones(k)
+        """By how much the map has grown about each keyframe since it was added: a closed loop corrects scale, too."""
         self.time_s = np.zeros(k)
         self.component = np.full(k, NONE, np.int32)
         self.alive = np.zeros(k, np.bool_)
         self.anchor = np.full(k, NONE, np.int32)
         """Of a culled keyframe: the one that it is now given relative to."""
+        self.anchor_size = np.ones(k)
         self.cam_from_anchor = np.zeros((k, 4, 4))
         self.point_of = np.full((k, features_most), NONE, np.int32)
         """(keyframes, features): which point each feature shows."""
@@ -125,6 +132,7 @@ class Map:
         shared[:size, :size] = self.shared
         self.shared = shared
         self.point_of[size:], self.anchor[size:], self.component[size:] = NONE, NONE, NONE
+        self.sizes[size:] = self.anchor_size[size:] = 1.0
 
     def _grow_points(self) -> None:
         size = len(self.xyz)
@@ -177,11 +185,36 @@ class Map:
             uv[mine], octave[mine], looks[mine] = of.xy_px[index], of.octave[index], of.descriptors[index]
         return uv, octave, looks
 
-    def final_pose(self, keyframe: int) -> np.ndarray:
-        """cam_from_world of a keyframe, culled ones too: through what they were anchored to."""
-        if self.alive[keyframe] or self.anchor[keyframe] == NONE:
-            return self.poses[keyframe]
-        return self.cam_from_anchor[keyframe] @ self.final_pose(int(self.anchor[keyframe]))
+    def pose_by(self, keyframe: int, cam_from_keyframe: np.ndarray, size: float = 1.0) -> np.ndarray:
+        """cam_from_world of what is given relative to a keyframe, which may be culled by now: through its anchors.
+
+        `size`: the keyframe's at the time when that relative pose was true.
+        """
+        relative = cam_from_keyframe.copy()
+        relative[:3, 3] *= self.sizes[keyframe] / size
+        while not self.alive[keyframe] and self.anchor[keyframe] != NONE:
+            relative = relative @ self.cam_from_anchor[keyframe]
+            anchor = int(self.anchor[keyframe])
+            relative[:3, 3] *= self.sizes[anchor] / self.anchor_size[keyframe]
+            keyframe = anchor
+        return relative @ self.poses[keyframe]
+
+    def living(self, keyframe: int) -> int:
+        """This keyframe, or what took its place."""
+        while not self.alive[keyframe] and self.anchor[keyframe] != NONE:
+            keyframe = int(self.anchor[keyframe])
+        return keyframe
+
+    def current(self, point_of: np.ndarray) -> np.ndarray:
+        """What these points (rows, or -1) have become; -1 where they are gone."""
+        current = point_of.copy()
+        for _ in range(LONGEST_CHAIN):
+            dead = (current >= 0) & ~self.point_alive[current]
+            if not dead.any():
+                return current
+            current[dead] = self.replaced_by[current[dead]]
+        current[(current >= 0) & ~self.point_alive[current]] = NONE
+        return current
 
     # --- changing ---------------------------------------------------------------------------------------------------
 
@@ -228,14 +261,14 @@ class Map:
         rows = np.flatnonzero((becomes[self.point_of[:count]] != self.point_of[:count]).any(axis=1))
         self.point_of[rows] = becomes[self.point_of[rows]]
         for row in rows[self.alive[rows]]:
-            self._see_each_point_once(int(row))
+            self.see_each_point_once(int(row))
         self.point_alive[points] = False
         self.replaced_by[points] = by
         self.found[by[by >= 0]] += self.found[points[by >= 0]]
         self.expected[by[by >= 0]] += self.expected[points[by >= 0]]
         self.mark(keyframes=rows, points=points)
 
-    def _see_each_point_once(self, keyframe: int) -> None:
+    def see_each_point_once(self, keyframe: int) -> None:
         mine = self.point_of[keyframe]
         features = np.flatnonzero(mine >= 0)
         _, first = np.unique(mine[features], return_index=True)
@@ -244,7 +277,7 @@ class Map:
 
     def remove_keyframe(self, keyframe: int, anchor: int) -> None:
         """A keyframe is no more; its pose is kept relative to `anchor`, so that the trajectory stays whole."""
-        self.anchor[keyframe] = anchor
+        self.anchor[keyframe], self.anchor_size[keyframe] = anchor, self.sizes[anchor]
         self.cam_from_anchor[keyframe] = self.poses[keyframe] @ inverse(self.poses[anchor])
         self.alive[keyframe] = False
         seen = self.point_of[keyframe]

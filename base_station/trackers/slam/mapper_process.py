@@ -1,7 +1,7 @@
 """Where the mapper runs: in the caller's process, at once; or in one of its own, while the tracker goes on.
 
-Both are used alike: `send` work, `receive` updates of the map. In a process of its own the mapper works on at low
-priority; the tracker's copy of the map is some keyframes behind meanwhile. The process ends with `close`, and by itself
+Both are used alike: `send` work, `receive` updates of the map. In a process of its own the mapper works on while the
+tracker goes on with a copy of the map that is some keyframes behind. The process ends with `close`, and by itself
 when the tracker's process is gone.
 """
 
@@ -13,19 +13,19 @@ import os
 import queue
 import signal
 import threading
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import MapUpdate
-from base_station.trackers.slam.mapper import Mapper, NewKeyframe, NewMap
+from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap
+from base_station.trackers.slam.rehearsal import rehearse_mapping
+from base_station.trackers.slam.settings import SlamSettings
 
-if TYPE_CHECKING:
-    from base_station.trackers.slam.settings import SlamSettings
-
-NICE = 5
 END_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.5
-Work = NewMap | NewKeyframe
+READY_WITHIN_S = 90.0
+Work = NewMap | NewKeyframe | Forget
 
 
 class MapperLink(Protocol):
@@ -67,7 +67,9 @@ class MapperHere:
 
 def do(mapper: Mapper, work: Work, busy: Any = lambda: False) -> MapUpdate:
     """One piece of work."""
-    return mapper.begin(work) if isinstance(work, NewMap) else mapper.insert(work, busy)
+    if isinstance(work, NewMap):
+        return mapper.begin(work)
+    return mapper.forget(work.component) if isinstance(work, Forget) else mapper.insert(work, busy)
 
 
 class MapperProcess:
@@ -85,6 +87,11 @@ class MapperProcess:
             name="slam-mapper",
         )
         self._process.start()
+        try:
+            self._updates.get(timeout=READY_WITHIN_S)
+        except queue.Empty:
+            self.close()
+            raise StationError("SLAM's mapper did not start within 90 s: is the machine overloaded?") from None
 
     def send(self, work: Work) -> None:
         self._sent += 1
@@ -122,10 +129,10 @@ class MapperProcess:
 
 def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
-    with contextlib.suppress(OSError):
-        os.nice(NICE)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    rehearse_mapping(camera, settings)
     mapper = Mapper(camera, settings)
+    updates.put("ready")
     while True:
         piece = work.get()
         if piece is None:

@@ -78,6 +78,8 @@ class _Last:
     picture: Picture
     reference: int
     cam_from_reference: np.ndarray
+    size: float
+    """The keyframe's when that was true, see `Map.sizes`."""
 
 
 class FrameTracker:
@@ -105,7 +107,7 @@ class FrameTracker:
     def last_pose(self) -> np.ndarray | None:
         """cam_from_world of the last picture that was located, in the map as it is now."""
         last = self._last
-        return None if last is None else last.cam_from_reference @ self._map.final_pose(last.reference)
+        return None if last is None else self._map.pose_by(last.reference, last.cam_from_reference, last.size)
 
     def remember(self, picture: Picture, found: Located, *, moving: bool) -> None:
         """This picture is the last one now. `moving`: it followed the one before at once, so the motion is known."""
@@ -115,8 +117,8 @@ class FrameTracker:
         else:
             self._velocity = None
         picture.point_of = found.point_of
-        relative = found.cam_from_world @ inverse(self._map.final_pose(found.reference))
-        self._last = _Last(picture, found.reference, orthonormal(relative))
+        relative = found.cam_from_world @ inverse(self._map.poses[found.reference])
+        self._last = _Last(picture, found.reference, orthonormal(relative), float(self._map.sizes[found.reference]))
 
     # --- a picture's way --------------------------------------------------------------------------------------------
 
@@ -126,8 +128,8 @@ class FrameTracker:
         if last is None or before is None:
             return "no picture before"
         guess = before if self._velocity is None else self._velocity @ before
-        reference = self._living(last.reference)
-        points = self._current(last.picture.point_of)
+        reference = self._map.living(last.reference)
+        points = self._map.current(last.picture.point_of)
         for way in (self._by_motion, self._by_likeness, self._by_keyframe):
             fit = way(picture, guess, last.picture, points, reference)
             if fit is not None:
@@ -208,7 +210,7 @@ class FrameTracker:
         features = self._map.features.get(reference)
         if features is None:
             return None
-        points = self._current(self._map.point_of[reference, : len(features)])
+        points = self._map.current(self._map.point_of[reference, : len(features)])
         rows = np.flatnonzero(points >= 0)
         return self._by_look(picture, features, rows, points[rows])
 
@@ -268,24 +270,6 @@ class FrameTracker:
         step = float(np.linalg.norm(camera_centers(found.cam_from_world) - camera_centers(guess)))
         turn = rotation_angle_rad(found.cam_from_world[:3, :3] @ guess[:3, :3].T)
         return step <= settings.farthest_jump * depth and turn <= settings.widest_jump_rad
-
-    def _current(self, point_of: np.ndarray) -> np.ndarray:
-        """What these points have become, -1 where they are gone."""
-        world = self._map
-        current = point_of.copy()
-        for _ in range(4):
-            dead = (current >= 0) & ~world.point_alive[current]
-            if not dead.any():
-                return current
-            current[dead] = world.replaced_by[current[dead]]
-        current[(current >= 0) & ~world.point_alive[current]] = NONE
-        return current
-
-    def _living(self, keyframe: int) -> int:
-        """This keyframe, or what took its place."""
-        while not self._map.alive[keyframe] and self._map.anchor[keyframe] != NONE:
-            keyframe = int(self._map.anchor[keyframe])
-        return keyframe
 
     def _count(self, expected: np.ndarray, found: np.ndarray) -> None:
         size = len(self._map.xyz)
