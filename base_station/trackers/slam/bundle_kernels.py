@@ -16,7 +16,7 @@ from base_station.trackers.slam.pose_optimization import CHI2_TWO, LEAST_DEPTH
 from base_station.trackers.slam.se3 import compose, exponential
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-8, 1e6
-ENOUGH = 1e-3
+ENOUGH = 1e-4
 """An iteration that lowers the cost by a smaller share is the last one."""
 BEHIND_COST = 50.0
 """Of an observation whose point lies behind the camera."""

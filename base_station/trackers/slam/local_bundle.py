@@ -22,7 +22,7 @@ class BundleSettings:
     """Keyframes: the new one and its neighbours."""
     holding: int = 16
     """Keyframes that see the same points and are held, those that share most."""
-    iterations: int = 6
+    iterations: int = 10
     """Of a local adjustment."""
     global_iterations: int = 20
     """Of one over a whole map."""

@@ -22,6 +22,7 @@ from base_station.trackers.slam.triangulation import believable, fundamental_mat
 CHI2_ONE = 3.841
 """95 % for one number: the distance to an epipolar line."""
 FINEST_PX, EXACT_SIGMAS = 0.15, 2.5
+TURN_ROUNDS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +50,10 @@ class TwoViewSettings:
     """...and this share..."""
     planar_parallax_share: float = 0.6
     """...and this one where a homography explains the pair as well: then the motions are harder to tell apart."""
+    moved_px: float = 2.0
+    """By which, on its level, a point must lie off where the best pure turn would put it..."""
+    moved_share: float = 0.25
+    """...for this share of the points, and for `least_points` of them."""
     kept_parallax_rad: float = math.radians(0.3)
     """Under which a point must be seen to be kept."""
 
@@ -120,6 +125,10 @@ def _best_motion(
     share = settings.planar_parallax_share if planar else settings.parallax_share
     if wide < max(share * len(cosines), settings.least_points):
         return "the camera has not moved enough"
+    seen = inliers[best.good]
+    moved = _turn_residual(one[seen], two[seen], camera_matrix) / sigma[1][seen]
+    if (moved > settings.moved_px).sum() < max(settings.moved_share * len(moved), settings.least_points):
+        return "the camera has only turned"
     others = [
         score for score, other in zip(scores, tried, strict=True) if not _same(other.motion, best.motion, settings)
     ]
@@ -170,6 +179,25 @@ def _same(one: np.ndarray, two: np.ndarray, settings: TwoViewSettings) -> bool:
     direction = math.acos(float(np.clip(one[:3, 3] @ two[:3, 3], -1.0, 1.0)))
     turn = rotation_angle_rad(one[:3, :3] @ two[:3, :3].T)
     return turn < settings.same_rotation_rad and direction < settings.same_direction_rad
+
+
+def _turn_residual(one: np.ndarray, two: np.ndarray, camera_matrix: np.ndarray) -> np.ndarray:
+    """Px (n,) by which each match differs from what the rotation that fits best makes of it.
+
+    A turn and a step aside look much alike: what is taken for parallax may be the rest of a turn not quite known.
+    """
+    fx, fy, cx, cy = camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]
+    rays = []
+    for uv in (one, two):
+        ray = np.column_stack([(uv - (cx, cy)) / (fx, fy), np.ones(len(uv))])
+        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+    weights, residual = np.ones(len(one)), np.zeros(len(one))
+    for _ in range(TURN_ROUNDS):
+        u, _, vt = np.linalg.svd((rays[1] * weights[:, None]).T @ rays[0])
+        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        residual = np.linalg.norm(rays[1] - rays[0] @ rotation.T, axis=1) * fx
+        weights = 1.0 / np.maximum(residual, 1.0)
+    return residual
 
 
 def epipolar_score(

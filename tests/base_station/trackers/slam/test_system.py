@@ -16,8 +16,8 @@ from tests.base_station.trackers.slam.room import Room, small_camera, standing
 
 CAMERA = small_camera()
 ROOM = Room(CAMERA)
-SETTINGS = SlamSettings(features=FeatureSettings(count=500))
-ALONG = [standing(-0.6 + 0.03 * k, -1.0, 0.004 * k) for k in range(40)]
+SETTINGS = SlamSettings(features=FeatureSettings(count=600))
+ALONG = [standing(-0.6 + 0.03 * k, -1.0 + 0.1 * np.sin(k / 6), 0.5 + 0.004 * k, 0.1 * np.cos(k / 5)) for k in range(50)]
 FRAME_S = 1 / 30
 
 
@@ -52,14 +52,14 @@ def test_it_follows_and_is_the_same_every_time():
             runs.append(slam.trajectory())
             states = [frame.state for frame in frames]
             first = states.index(TrackingState.TRACKING)
-            assert first < 10
+            assert first < 15
             assert set(states[first:]) == {TrackingState.TRACKING}
             metres, radians = errors(slam, ALONG)
             assert 1e-6 < np.sqrt(np.mean(metres**2)) < 0.01
             assert radians.max() < 0.01
             counts = slam.statistics()
-            assert counts.frames == 40
-            assert counts.tracked == len(slam.trajectory()) == 40 - first
+            assert counts.frames == 50
+            assert counts.tracked == len(slam.trajectory()) == 50 - first
             assert counts.keyframes == len(slam.keyframes()) >= 3
             assert counts.points == len(slam.points()) > 150
             assert counts.maps == 1
@@ -67,34 +67,29 @@ def test_it_follows_and_is_the_same_every_time():
 
 
 def test_covered_carried_away_and_found_again():
+    elsewhere = standing(-0.3, -0.9, 0.52)
     with start() as slam:
         drive(slam, ALONG)
-        covered = [slam.track(np.zeros((240, 320), np.uint8), 1.4 + k * FRAME_S) for k in range(10)]
+        covered = [slam.track(np.zeros((240, 320), np.uint8), 2.0 + k * FRAME_S) for k in range(10)]
         assert {frame.state for frame in covered} == {TrackingState.LOST}
         assert all(frame.cam_from_world is None and frame.reason for frame in covered)
-        keyframes = slam.statistics().keyframes
-        elsewhere = [standing(-0.3, -0.9, 0.02)] * 10
-        found = drive(slam, elsewhere, 40 * FRAME_S + 60.0)
-        states = [frame.state for frame in found]
-        assert TrackingState.TRACKING in states[:10]
+        found = [slam.track(ROOM.picture(elsewhere), 60.0 + k * FRAME_S) for k in range(10)]
+        assert found[-1].state is TrackingState.TRACKING
         slam.finish()
-        poses = {round(time_s / FRAME_S): pose for time_s, pose in slam.trajectory()}
-        where = np.array([poses[k][:3, 3] for k in sorted(poses) if k < 40])
-        truth = np.array([ALONG[k][:3, 3] for k in sorted(poses) if k < 40])
-        world_from_map = align(where, truth)
-        last = max(poses)
-        assert np.linalg.norm(transform(world_from_map, poses[last][None, :3, 3]) - elsewhere[0][:3, 3]) < 0.05
+        times, poses = zip(*slam.trajectory(), strict=True)
+        truth = [ALONG[round(time_s / FRAME_S)] if time_s < 50 else elsewhere for time_s in times]
+        there, here = (np.array([pose[:3, 3] for pose in poses]) for poses in (truth, poses))
+        assert np.linalg.norm(transform(align(here, there), here) - there, axis=1).max() < 0.06
         counts = slam.statistics()
         assert counts.relocalizations >= 1
         assert counts.maps == 1
-        assert counts.keyframes >= keyframes
 
 
 def test_light_to_a_third_and_back():
     with start() as slam:
-        drive(slam, ALONG[:30])
-        dark = drive(slam, ALONG[30:35], 30 * FRAME_S, light=0.33)
-        again = drive(slam, ALONG[35:], 35 * FRAME_S)
+        drive(slam, ALONG[:40])
+        dark = drive(slam, ALONG[40:45], 40 * FRAME_S, light=0.33)
+        again = drive(slam, ALONG[45:], 45 * FRAME_S)
         assert again[-1].state is TrackingState.TRACKING
         assert all(frame.state is TrackingState.TRACKING or frame.reason for frame in dark)
         assert errors(slam, ALONG)[0].max() < 0.05
