@@ -82,6 +82,12 @@ def _orb() -> Tracker:
     return OrbTracker()
 
 
+def _slam() -> Tracker:
+    from base_station.trackers.slam.tracker import SlamTracker
+
+    return SlamTracker()
+
+
 _LOADERS: dict[str, Callable[[], Tracker]] = {
     "ztransform": _ztransform,
     "z-shift": _z_shift,
@@ -93,6 +99,7 @@ _LOADERS: dict[str, Callable[[], Tracker]] = {
     "klt": _klt,
     "ecc": _ecc,
     "orb": _orb,
+    "slam": _slam,
 }
 
 

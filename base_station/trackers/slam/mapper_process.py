@@ -25,6 +25,7 @@ from base_station.trackers.slam.settings import SlamSettings
 END_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.5
 READY_WITHIN_S = 90.0
+READY = "ready"
 Work = NewMap | NewKeyframe | Forget
 
 
@@ -75,7 +76,8 @@ def do(mapper: Mapper, work: Work, busy: Any = lambda: False) -> MapUpdate:
 class MapperProcess:
     """The mapper in a process of its own."""
 
-    def __init__(self, camera: SlamCamera, settings: SlamSettings) -> None:
+    def __init__(self, camera: SlamCamera, settings: SlamSettings, *, at_once: bool = True) -> None:
+        """Starts the process and waits until it is ready; if not `at_once`, it starts with the first piece of work."""
         context = multiprocessing.get_context("spawn")
         self._work: Any = context.Queue()
         self._updates: Any = context.Queue()
@@ -86,7 +88,16 @@ class MapperProcess:
             daemon=True,
             name="slam-mapper",
         )
+        self._started = self._closed = False
+        if at_once:
+            self._start()
+            self._wait_until_ready()
+
+    def _start(self) -> None:
         self._process.start()
+        self._started = True
+
+    def _wait_until_ready(self) -> None:
         try:
             self._updates.get(timeout=READY_WITHIN_S)
         except queue.Empty:
@@ -94,6 +105,8 @@ class MapperProcess:
             raise StationError("SLAM's mapper did not start within 90 s: is the machine overloaded?") from None
 
     def send(self, work: Work) -> None:
+        if not self._started:
+            self._start()
         self._sent += 1
         self._work.put(work)
 
@@ -101,9 +114,12 @@ class MapperProcess:
         updates = []
         while self._received < self._sent:
             try:
-                updates.append(self._updates.get(timeout=wait_s) if wait_s else self._updates.get_nowait())
+                update = self._updates.get(timeout=wait_s) if wait_s else self._updates.get_nowait()
             except queue.Empty:
                 break
+            if update == READY:
+                continue
+            updates.append(update)
             self._received += 1
             wait_s = 0.0
         return updates
@@ -112,16 +128,19 @@ class MapperProcess:
         return self._sent - self._received
 
     def alive(self) -> bool:
-        return self._process.is_alive()
+        return self._started and not self._closed and self._process.is_alive()
 
     def close(self) -> None:
-        if self._process.is_alive():
+        if self._closed:
+            return
+        if self.alive():
             with contextlib.suppress(ValueError, OSError):
                 self._work.put(None)
             self._process.join(END_WITHIN_S)
             if self._process.is_alive():
                 self._process.terminate()
                 self._process.join(END_WITHIN_S)
+        self._closed = True
         for channel in (self._work, self._updates):
             channel.close()
             channel.cancel_join_thread()
@@ -130,9 +149,9 @@ class MapperProcess:
 def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    rehearse_mapping(camera, settings)
+    rehearse_mapping()
     mapper = Mapper(camera, settings)
-    updates.put("ready")
+    updates.put(READY)
     while True:
         piece = work.get()
         if piece is None:

@@ -6,6 +6,8 @@ work has lost its track.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
@@ -21,8 +23,13 @@ POINTS = 300
 STEPS = 4
 
 
-def rehearse_mapping(camera: SlamCamera, settings: SlamSettings) -> Mapper:
+CAMERA = SlamCamera(width_px=320, height_px=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
+
+
+@cache
+def rehearse_mapping() -> Mapper:
     """A mapper that has seen a few made-up keyframes; only good to be thrown away."""
+    camera, settings = CAMERA, SlamSettings()
     mapper = Mapper(camera, settings)
     points, looks = _scene()
     words = np.zeros(POINTS, np.int32)
@@ -41,15 +48,17 @@ def rehearse_mapping(camera: SlamCamera, settings: SlamSettings) -> Mapper:
     return mapper
 
 
-def rehearse_tracking(camera: SlamCamera, settings: SlamSettings) -> None:
+@cache
+def rehearse_tracking() -> None:
     """A made-up picture's way through the tracker."""
+    camera, settings = CAMERA, SlamSettings()
     extract = FeatureExtractor(camera, settings.features)
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px), np.uint8)
     features = extract(noise)
     initializer = Initializer(camera, extract.scales, settings.initializer)
     for time_s in range(2):
         initializer(float(time_s), features, Grid.of(features.xy_px, camera.bounds_px))
-    mapper = rehearse_mapping(camera, settings)
+    mapper = rehearse_mapping()
     world = mapper.map
     tracker = FrameTracker(camera, world, settings.tracking)
     points, looks = _scene()

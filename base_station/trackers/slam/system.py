@@ -7,6 +7,7 @@ when that fails; then the keyframe decision. All that changes the map happens at
 from __future__ import annotations
 
 import time
+import weakref
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
-from base_station.trackers.slam.features import FeatureExtractor
+from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
 from base_station.trackers.slam.keyframe_decision import wants_keyframe
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
@@ -60,7 +61,8 @@ class SlamSystem:
     """Monocular SLAM. A context manager: `close()` ends the mapper's process.
 
     `single_process`: the mapper works within `track`; the same pictures then give the same poses, for any machine load.
-    `seed`: of the random choices when places are compared.
+    `seed`: of the random choices when places are compared. `mapper_at_once`: wait for the mapper's process now; if
+    not, it starts with the first points, and the first map is some seconds late.
     Raises StationError when pycolmap or gtsam is missing, or the mapper's process does not start.
     """
 
@@ -71,6 +73,7 @@ class SlamSystem:
         settings: SlamSettings | None = None,
         single_process: bool = False,
         seed: int = 0,
+        mapper_at_once: bool = True,
     ) -> None:
         libraries.gtsam()
         settings = settings or SlamSettings()
@@ -82,8 +85,10 @@ class SlamSystem:
         self._places = Places(self._map, settings.places)
         self._initializer = Initializer(camera, self._extract.scales, settings.initializer)
         self._tracker = FrameTracker(camera, self._map, settings.tracking)
-        self._link: MapperLink = (MapperHere if single_process else MapperProcess)(camera, settings)
-        rehearse_tracking(camera, settings)
+        self._link: MapperLink = (
+            MapperHere(camera, settings) if single_process else MapperProcess(camera, settings, at_once=mapper_at_once)
+        )
+        rehearse_tracking()
         self._next_row = self._next_component = 0
         self._component = NONE
         """The map that is used now."""
@@ -93,15 +98,18 @@ class SlamSystem:
         self._keyframe_frame = 0
         self._last_located_s = self._lost_since_s = 0.0
         self._lost_frames = 0
+        self.last_picture: Picture | None = None
+        """The last picture that could be looked at, with its features and the map points that they show."""
         self._trajectory: list[_Tracked] = []
         self._counts = _Counts()
-        self._closed = False
+        self._end = weakref.finalize(self, self._link.close)
 
     # --- pictures ---------------------------------------------------------------------------------------------------
 
     def track(self, image: np.ndarray, time_s: float) -> SlamFrame:
         """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason."""
         self._counts.frames += 1
+        self.last_picture = None
         began = time.perf_counter()
         self._take(self._link.receive())
         self._time("updates", began)
@@ -111,6 +119,7 @@ class SlamSystem:
         began = time.perf_counter()
         features = self._extract(image)
         picture = Picture(time_s, features, Grid.of(features.xy_px, self._camera.bounds_px))
+        self.last_picture = picture
         self._time("features", began)
         began = time.perf_counter()
         found = self._locate(picture)
@@ -277,6 +286,25 @@ class SlamSystem:
     def _time(self, stage: str, began: float) -> None:
         self._counts.timings_ms.setdefault(stage, []).append((time.perf_counter() - began) * 1e3)
 
+    def features_of(self, image: np.ndarray) -> Features:
+        """The features of a picture, which is not tracked."""
+        return self._extract(image)
+
+    @property
+    def map(self) -> Map:
+        """The tracker's copy of the map: to be read between two calls of `track`."""
+        return self._map
+
+    @property
+    def component(self) -> int:
+        """Which map of the atlas is in use; -1: none yet."""
+        return self._component
+
+    @property
+    def reference(self) -> int:
+        """The keyframe that shares most with the last tracked picture; -1 before the first."""
+        return self._trajectory[-1].reference if self._trajectory else NONE
+
     # --- the end ----------------------------------------------------------------------------------------------------
 
     def finish(self) -> None:
@@ -325,9 +353,7 @@ class SlamSystem:
 
     def close(self) -> None:
         """End the mapper's process. May be called twice."""
-        if not self._closed:
-            self._closed = True
-            self._link.close()
+        self._end()
 
     def __enter__(self) -> SlamSystem:
         return self
