@@ -16,7 +16,7 @@ from base_station.trackers.baselines.patch import (
     Found,
     Learned,
     Missed,
-    PatchTracker,
+    RowsOfPatch,
     agreement,
     cut,
     gone,
@@ -35,7 +35,7 @@ class PhaseRowSettings:
     """Correlation of the learned bands with those at the peak."""
 
 
-class PhaseRowTracker(PatchTracker):
+class PhaseRowTracker(RowsOfPatch):
     """One-dimensional, with numpy's FFT."""
 
     def __init__(self, *, settings: PhaseRowSettings | None = None) -> None:

@@ -71,6 +71,8 @@ USUAL_RATE = 0.05
 """Of the running mean of confidences, per frame."""
 LINGER_FRAMES = 15
 """A loose target that was lost is looked for where it was for so long, then around there too."""
+ROOM, ROOM_PX = 0.06, 6.0
+"""Of a target's height, and in px: how far it may move up or down, or grow, until the next band comes."""
 RING = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
@@ -80,6 +82,7 @@ class _Learned:
 
     placement: np.ndarray
     shape: tuple[int, int]
+    horizon_px: float
     is_place: bool
 
 
@@ -109,7 +112,7 @@ class ZTransformTracker:
         texture = min(texture_of(patch, 1), self._pixel_texture(frame, target))
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the target's texture is {texture:.1f} grey levels above the noise")
-        self._learned = _Learned(placement, frame.image.shape, target is None)
+        self._learned = _Learned(placement, frame.shape, frame.camera.cy, target is None)
         self._rigid.learn(pyramid, placement, lens, is_place=target is None)
         if target is not None:
             self._loose.start(pyramid, placement)
@@ -128,23 +131,35 @@ class ZTransformTracker:
         learned = self._learned
         if learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.image.shape != learned.shape:
-            (rows, columns), (old_rows, old_columns) = frame.image.shape, learned.shape
+        if frame.shape != learned.shape:
+            (rows, columns), (old_rows, old_columns) = frame.shape, learned.shape
             return _lost(f"the frame is {columns}x{rows}, learned in {old_columns}x{old_rows}", 0.0)
         lens = lens_of(frame.camera, curved=learned.is_place)
-        pyramid = Pyramid(frame.image)
-        look, is_believed = self._look(pyramid, frame.time_s, lens)
-        if is_believed and self._is_possible(look, frame.image.shape):
+        pyramid = Pyramid(frame.image, frame.first_row)
+        look, is_believed = self._look(pyramid, frame.time_s, lens, is_whole=frame.is_whole)
+        if is_believed and self._is_possible(look, frame.shape):
             return self._tracked(frame, look, lens)
         self._is_tracking = False
         self._frames_lost += 1
         return _lost(self._why(frame, look), look.confidence)
 
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`. All, unless the target is proven rigid and seen firm: searching needs the whole frame,
+        and so does learning what surrounds the target."""
+        learned, p = self._learned, self._motion.last
+        if learned is None or learned.is_place or not (self._is_tracking and self._is_proven and self._is_firm):
+            return None
+        reach = p[HEIGHT] / 2 * (1 + ROOM) + ROOM_PX
+        nearer = 1 / (1 - abs(p[KEYSTONE]) / 2)  # one side of a picture seen aslant is taller
+        ends = [p[Y] + side * reach for side in (-1, 1)]
+        ends += [learned.horizon_px + nearer * (y - learned.horizon_px) for y in ends]
+        return math.floor(min(ends)), math.ceil(max(ends)) + 1
+
     def close(self) -> None:
         """Let go of what was learned."""
         self._learned = None
 
-    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[Look, bool]:
+    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray, *, is_whole: bool = True) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
         assert self._learned is not None
         settings, followed, kept = self._settings, None, False
@@ -155,8 +170,10 @@ class ZTransformTracker:
             kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
             usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
             if kept and usual and (self._learned.is_place or followed.confidence >= settings.firm):
-                self._seen_firm(pyramid, followed, time_s)
+                self._seen_firm(pyramid, followed, time_s, is_whole=is_whole)
                 return followed, True
+        if not is_whole:  # a search needs all of the frame, and once the target is lost that is what comes
+            return (followed, kept) if followed else (Look(self._motion.last, 0.0, 0.0), False)
         if self._is_loose:
             loose = self._follow_loose(pyramid, time_s)
             if loose is not None:
@@ -179,19 +196,24 @@ class ZTransformTracker:
     def _is_proven(self) -> bool:
         return self._frames_firm >= self._settings.proven_frames
 
+    @property
+    def _is_firm(self) -> bool:
+        """It was when it was seen last."""
+        return self._motion.age_s(self._firm_s) >= 0
+
     def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> Look:
         """The signature, from where the target should be now."""
         enough = max(self._usual_confidence - self._settings.surprise, self._settings.keep_confidence)
         return self._rigid.follow(pyramid, lens, self._motion.predict(time_s), self._motion.last, enough)
 
-    def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float) -> None:
-        """The signature was seen; now and then the loose follower learns how the target looks there."""
+    def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float, *, is_whole: bool = True) -> None:
+        """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
         self._is_loose, self._firm_s = False, time_s
         if look.confidence < self._settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+        if not is_whole or look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
             return
         if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
             self._loose.adapt(pyramid)
@@ -249,8 +271,8 @@ class ZTransformTracker:
 
     def _why(self, frame: Frame, look: Look) -> str:
         """What probably happened, in words."""
-        settings, (rows, columns) = self._settings, frame.image.shape
-        texture = texture_of(frame.image, max(1, columns // 32))
+        settings, (rows, columns) = self._settings, frame.shape
+        texture = texture_of(frame.image, max(1, min(columns // 32, frame.image.shape[0] // 3)))
         if texture < settings.least_texture:
             return f"featureless: the view's texture is {texture:.1f} grey levels"
         ahead = self._motion.predict(frame.time_s)
