@@ -262,7 +262,9 @@ class Link:
         arrival = _Arrival(session, session.raw.frames_received, *received)
         if session.rows is None:
             self._offer(arrival)
-        elif session.asks_first:
+            return
+        session.rows.check(arrival.number, arrival.format)
+        if session.asks_first:
             session.rows.act(session.raw)
             self._offer(arrival)
         else:
@@ -346,6 +348,9 @@ class Link:
         stamp = telemetry.frame
         if stamp is not None and telemetry.station is not None:
             self._angles.note(telemetry.station, stamp)  # first: in lockstep the loop waits for the time only
+            session = self._session
+            if session is not None and session.rows is not None and session.raw.address == telemetry.station:
+                session.rows.note(stamp.number, stamp.rows)
             self._clock.note((telemetry.station, stamp.number), stamp.capture_s)
         self.ended = self.ended or telemetry.ended
         if self._on_telemetry is not None:

@@ -27,6 +27,8 @@ LARGEST_SHARE = 0.85
 WASTEFUL = 1.35
 """A band so many times as large as the one that would be chosen now is given up."""
 PATIENCE_S = 2.0
+KEPT = 64
+"""Frames whose telemetry is remembered."""
 NO_ROWS = "%s: --rows changes nothing, the frames stay whole."
 
 
@@ -58,7 +60,7 @@ def band_for(wanted: Rows | None, present: Rows | None, height: int) -> Rows | N
 
 
 class RowSwitch:
-    """Asks for bands on one connection. `want` is the loop's, `act` the receiving thread's."""
+    """Asks for bands on one connection. `want` is the loop's, `note` telemetry's, the others the receiving thread's."""
 
     def __init__(self, line: ControlLine, whole: FrameFormat, station: str) -> None:
         """`whole`: the frames as hello names them; bands are counted in their rows. `station`: see `Request`."""
@@ -66,10 +68,22 @@ class RowSwitch:
         self._present: Rows | None = None
         self._wanted: Rows | None = None
         self._gave_up = False
+        self._told: dict[int, Rows | None] = {}
 
     def want(self, rows: Rows | None) -> None:
         """These rows are needed from now on; None: all. Returns at once."""
         self._wanted = rows
+
+    def note(self, number: int, rows: Rows | None) -> None:
+        """Telemetry says which rows of the camera's picture this frame shows."""
+        self._told[number] = rows
+        self._told.pop(number - KEPT, None)
+
+    def check(self, number: int, frame_format: FrameFormat) -> None:
+        """Raises LinkLost when a frame that was read as this is said to be another: somebody else changed the rows, and
+        what was read is torn. (Where telemetry is late nothing is checked.)"""
+        if number in self._told and (self._told[number] or self._whole.rows) != frame_format.rows:
+            raise LinkLost("its telemetry tells of other rows than it was asked for")
 
     def act(self, raw: RawConnection) -> None:
         """Between two frames: ask for other rows where they are needed, and tell the connection from which frame on

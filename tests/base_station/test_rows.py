@@ -128,3 +128,16 @@ def test_when_nobody_knows_how_long_the_frames_are_the_connection_ends(reply):
     switch.want(None)
     with pytest.raises(LinkLost):
         switch.act(Stream())
+
+
+def test_a_frame_that_telemetry_knows_otherwise_ends_the_connection():
+    """Somebody else had the rows changed: the frame was cut out of the stream at the wrong place."""
+    switch = RowSwitch(Robot(), WHOLE, "")
+    switch.note(4, None)
+    switch.note(5, (192, 308))
+    switch.check(4, WHOLE)
+    switch.check(5, WHOLE.band((192, 308)))
+    switch.check(6, WHOLE)
+    for number, sent in ((4, WHOLE.band((0, 8))), (5, WHOLE)):
+        with pytest.raises(LinkLost, match="other rows"):
+            switch.check(number, sent)
