@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import json
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from protocol import Request
-from tests.helpers import Operator, Programs, RawStation, free_ports, numbered_picture, read_exactly, wait_until
+from tests.helpers import (
+    Operator,
+    Programs,
+    RawStation,
+    TelemetryLog,
+    driving,
+    free_ports,
+    numbered_picture,
+    read_exactly,
+    standing,
+    wait_until,
+)
 
 SECONDS = 6
 MEASURED = ("loop_hz", "tracker_ms_p50", "frame_to_command_ms_p50", "frame_to_command_ms_p95", "agent_cpu_s",
@@ -100,3 +113,19 @@ def test_rows_change_where_the_reply_says_and_only_for_the_station_served(
     wait_until(lambda: not ask((40, 56), station.address).ok, 2.0, "its rows end with its connection")
     with RawStation(port, picture.size) as station:
         assert len(station.read_frame()) == picture.size
+
+
+def test_asking_for_rows_is_no_command(
+    programs: Programs, port: int, operator: Operator, listen: Callable[[], TelemetryLog]
+) -> None:
+    """A station that only asks for other rows, again and again, is one that has gone silent: the wheels stop."""
+    programs.sim(port)
+    telemetry = listen()
+    with RawStation(port, 160 * 120) as station:
+        station.send(60, 60)
+        telemetry.wait_for(driving, what="wheels that turn")
+        asked_s = time.monotonic()
+        while time.monotonic() < asked_s + 1.0:
+            station.drain()
+            assert operator.ask(Request(action="rows", rows=(40, 60), station=station.address)).ok
+        telemetry.wait_for(standing, 2.0, since_s=asked_s + 0.6, what="standing wheels")
