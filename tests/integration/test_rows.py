@@ -122,8 +122,13 @@ def test_asking_for_rows_is_no_command(
     programs.sim(port)
     telemetry = listen()
     with RawStation(port, 160 * 120) as station:
-        station.send(60, 60)
-        telemetry.wait_for(driving, what="wheels that turn")
+
+        def turning() -> bool:
+            station.send(60, 60)
+            station.drain()
+            return telemetry.last is not None and driving(telemetry.last)
+
+        wait_until(turning, 10.0, "wheels that turn")
         asked_s = time.monotonic()
         while time.monotonic() < asked_s + 1.0:
             station.drain()
