@@ -58,6 +58,13 @@ class Landmark:
         """
         placement = self.placement(camera)
         x, y = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
+        image = self.picture_at(x, y, camera)
+        frame = Frame(image=np.clip(np.round(image), 0, 255).astype(np.uint8), number=0, time_s=0.0, camera=camera)
+        return frame, None if self.box is None else Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))
+
+    def picture_at(self, x: np.ndarray, y: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+        """What the small picture shows at these pixels of this camera, float32; shapes (rows, columns)."""
+        placement = self.placement(camera)
         if self.box is None:
             azimuth = np.arctan((x - camera.cx) / camera.fx)
             x, y = camera.cx + camera.fx * azimuth, camera.cy + (y - camera.cy) * np.cos(azimuth)
@@ -70,8 +77,7 @@ class Landmark:
             cv2.INTER_CUBIC,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        frame = Frame(image=np.clip(np.round(image), 0, 255).astype(np.uint8), number=0, time_s=0.0, camera=camera)
-        return frame, None if self.box is None else Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))
+        return np.asarray(image, np.float32)
 
 
 def box_placement(box: Box) -> np.ndarray:

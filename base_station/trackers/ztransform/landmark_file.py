@@ -13,7 +13,8 @@ import numpy as np
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.landmark import CELLS, LONGEST_NAME, Landmark, check_name
-from base_station.trackers.ztransform.lookup import SIZES, SMALL_SIZE
+from base_station.trackers.ztransform.shortlist import SIZES
+from base_station.trackers.ztransform.verification import SMALL_SIZE
 from base_station.trackers.ztransform.windows import DESCRIPTOR_SIZE
 from base_station.types import Box
 
