@@ -1,13 +1,12 @@
 """A landmark: what is kept of a learned target or place, so that it is recognised, and tracked, much later.
 
 It is a small picture (72 x 72 cells) of the box and half as much around it, 48 cells across the box, which is as finely
-as the tracker reads; where the box was and in which camera; and two things made from it once: the descriptor that the
-look-up compares, and the map that refines what the look-up found. All of it takes under 8 KiB.
+as the tracker reads; where the box was and in which camera; and a map made from it once, which refines what the look-up
+found. All of it takes under 8 KiB.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -34,8 +33,6 @@ class Landmark:
     box: Box | None
     picture: np.ndarray
     """uint8 (72, 72). Of a place: on the cylinder about the camera."""
-    descriptors: np.ndarray
-    """float32 (2, 48), see `lookup`."""
     step_map: np.ndarray
     """float16 (5, numbers), see `regression`."""
     learned_depth_m: float | None = None
@@ -44,7 +41,7 @@ class Landmark:
     @property
     def bytes(self) -> int:
         """What it takes in memory, and in a file before compression; names and numbers counted as 128."""
-        return self.picture.nbytes + self.descriptors.nbytes + self.step_map.nbytes + 128
+        return self.picture.nbytes + self.step_map.nbytes + 128
 
     def placement(self, camera: PinholeCamera) -> np.ndarray:
         """Where it was learned, as seen by this camera; see `kernels`."""
@@ -113,8 +110,3 @@ def check_name(name: str) -> None:
     """Raises ValueError, in words, for a name that is empty, too long, or could not be typed again."""
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or name != name.strip():
         raise ValueError(f"{name!r} is no name for a landmark: 1 to {LONGEST_NAME} printable characters")
-
-
-def azimuth_px(x: float, camera: PinholeCamera) -> float:
-    """Column x unrolled on the cylinder about the camera."""
-    return camera.cx + camera.fx * math.atan((x - camera.cx) / camera.fx)

@@ -13,18 +13,16 @@ import numpy as np
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.landmark import CELLS, LONGEST_NAME, Landmark, check_name
-from base_station.trackers.ztransform.shortlist import SIZES
 from base_station.trackers.ztransform.verification import SMALL_SIZE
-from base_station.trackers.ztransform.windows import DESCRIPTOR_SIZE
 from base_station.types import Box
 
-KIND, VERSION = "zservo landmarks", 1
+KIND, VERSION, OLDEST_VERSION = "zservo landmarks", 2, 1
+"""Version 1 also held descriptors, which are now made from the picture."""
 MOST_LANDMARKS = 4096
 MOST_BYTES = 64 << 20
 _SHAPES: dict[str, tuple[type, tuple[int, ...]]] = {
     "names": (np.str_, ()),
     "pictures": (np.uint8, (CELLS, CELLS)),
-    "descriptors": (np.float32, (len(SIZES), DESCRIPTOR_SIZE)),
     "step_maps": (np.float16, (5, SMALL_SIZE)),
     "boxes": (np.float64, (4,)),
     "cameras": (np.float64, (6,)),
@@ -42,7 +40,6 @@ def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
         "version": np.array(VERSION),
         "names": np.array([landmark.name for landmark in landmarks], f"<U{LONGEST_NAME}"),
         "pictures": _stack([landmark.picture for landmark in landmarks], "pictures"),
-        "descriptors": _stack([landmark.descriptors for landmark in landmarks], "descriptors"),
         "step_maps": _stack([landmark.step_map for landmark in landmarks], "step_maps"),
         "boxes": _stack([np.array(_box_numbers(landmark.box)) for landmark in landmarks], "boxes"),
         "cameras": _stack([np.array(_camera_numbers(landmark.camera)) for landmark in landmarks], "cameras"),
@@ -88,7 +85,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         if "kind" not in file or file["kind"].shape != () or str(file["kind"]) != KIND:
             raise ValueError("it says nothing of landmarks")
         version = file["version"]
-        if version.shape != () or int(version) != VERSION:
+        if version.shape != () or not OLDEST_VERSION <= int(version) <= VERSION:
             raise ValueError(f"version {version}, this program reads {VERSION}")
         arrays = {name: file[name] for name in _SHAPES}
     count = arrays["names"].shape[:1]
@@ -105,12 +102,12 @@ def _landmark(arrays: dict[str, np.ndarray], number: int) -> Landmark:
     name, depth_m = str(arrays["names"][number]), float(arrays["depths_m"][number])
     check_name(name)
     width, height, fx, fy, cx, cy = arrays["cameras"][number].tolist()
-    descriptors, step_map = arrays["descriptors"][number], arrays["step_maps"][number]
+    step_map = arrays["step_maps"][number]
     if not np.isfinite(arrays["cameras"][number]).all() or not (1 <= width <= 8192 and 1 <= height <= 8192):
         raise ValueError(f"{name}: no camera")
     if min(fx, fy) <= 0 or max(abs(cx), abs(cy)) > 1e5:
         raise ValueError(f"{name}: no camera")
-    if not np.isfinite(descriptors).all() or not np.isfinite(step_map).all() or depth_m <= 0 or np.isinf(depth_m):
+    if not np.isfinite(step_map).all() or depth_m <= 0 or np.isinf(depth_m):
         raise ValueError(f"{name}: numbers out of range")
     box = arrays["boxes"][number]
     return Landmark(
@@ -118,7 +115,6 @@ def _landmark(arrays: dict[str, np.ndarray], number: int) -> Landmark:
         camera=PinholeCamera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy),
         box=None if np.isnan(box).all() else Box(*box.tolist()),
         picture=arrays["pictures"][number].copy(),
-        descriptors=descriptors.copy(),
         step_map=step_map.copy(),
         learned_depth_m=None if np.isnan(depth_m) else depth_m,
     )

@@ -15,7 +15,7 @@ from base_station.trackers.ztransform.kernels import HEIGHT
 from base_station.trackers.ztransform.landmark import Landmark, box_placement, check_name, small_picture
 from base_station.trackers.ztransform.outline import lens_of, outline, place_placement, to_pixel
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.shortlist import Shortlist, ShortlistSettings, describe
+from base_station.trackers.ztransform.shortlist import Shortlist, ShortlistSettings
 from base_station.trackers.ztransform.texture import texture_of
 from base_station.trackers.ztransform.verification import VerificationSettings, Verifier, box_of
 from base_station.types import Box, Frame
@@ -110,7 +110,6 @@ class LandmarkMemory:
             camera=camera,
             box=box,
             picture=picture,
-            descriptors=describe(pyramid, placement, camera, self._settings.shortlist, is_place=curved),
             step_map=self._verifier.learn(pyramid, placement, lens),
             learned_depth_m=learned_depth_m,
         )

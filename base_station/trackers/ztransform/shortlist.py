@@ -1,12 +1,13 @@
 """Which of many landmarks may be in a frame, and about where: cheap for hundreds of them, and rarely wrong.
 
 Which rows of windows (see `windows`) are read? A robot's camera keeps its height, so a landmark's row follows from its
-size: y_h + g (y0 - y_h). In units of the window that is the same row at every level, for all landmarks that stand at the
-same height against their size. They share one row of windows per level, and comparing them with all windows of all
+size: y_h + g (y0 - y_h). In units of the window that is the same row at every level, for all landmarks that stand at
+the same height against their size. They share one row of windows per level, and comparing them with all windows of all
 levels is one matrix product.
 
-Descriptors are coarse. The best hundred are therefore looked at again: the slopes of the 144 cells themselves against
-those of the landmark's small picture, a cell further left and right, up and down as well. That leaves few but true ones.
+Descriptors are coarse, and levels far apart. The best 256 are therefore looked at again: the slopes of the 144 cells
+themselves against those of the landmark's small picture, also a cell further left and right, up and down. Hardly any
+but true ones are left.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
-from base_station.trackers.ztransform.landmark import Landmark, azimuth_px
+from base_station.trackers.ztransform.landmark import Landmark
 from base_station.trackers.ztransform.lookup_kernels import (
     best_windows,
     compare_slopes,
@@ -39,12 +40,11 @@ from base_station.trackers.ztransform.windows import (
     SIDE,
     WINDOWS,
     Levels,
-    cells_at,
     descriptor_of,
     known_slopes,
 )
 
-SIZES = (0.93 * 2 ** (-1 / 20), 0.93 * 2 ** (1 / 20))
+SIZES = tuple(0.93 * LEVEL_STEP**power for power in (-0.25, 0.25))
 """Of the windows that describe a landmark: between them they halve the step of the levels."""
 BLOCK_LEVELS = 3
 FINER = 4
@@ -60,12 +60,12 @@ class ShortlistSettings:
     place_zooms: tuple[float, float] = (0.8, 1.25)
     place_window: float = 0.45
     """A place is first looked for by its middle; this share of the frame's height."""
-    windows: int = 128
+    windows: int = 256
     """How many windows, of those that resemble a landmark's most, are looked at again."""
     resemblance: float = 0.5
     """Of the descriptors (normalised correlation), to be looked at again."""
-    agreement: float = 0.62
-    """Of the slopes (normalised correlation). True ones: 99.5 % above 0.69; others: one a frame."""
+    agreement: float = 0.65
+    """Of the slopes (normalised correlation), to be handed on."""
     candidates: int = 24
     """How many landmarks to hand on."""
 
@@ -103,14 +103,11 @@ class Shortlist:
         self.placements = np.stack([landmark.placement(camera) for landmark in landmarks])
         """Of each landmark, as it was learned; see `kernels`."""
         self._is_place = np.array([landmark.box is None for landmark in landmarks])
-        windows = [
-            windows_of(placement, camera, settings, is_place=bool(is_place))
-            for placement, is_place in zip(self.placements, self._is_place, strict=True)
-        ]
-        self._sides, self._rows = (np.concatenate([window[part] for window in windows]) for part in (0, 1))
         self._owners = np.repeat(np.arange(len(landmarks)), len(SIZES))
-        order = self._group(np.concatenate([landmark.descriptors for landmark in landmarks]))
-        self._slopes = np.stack([self._slopes_of(landmarks[self._owners[n]], n) for n in range(len(order))])
+        self._sides, self._rows = self._windows_of(camera)
+        cells = [self._cells_of(landmarks[int(owner)], window) for window, owner in enumerate(self._owners)]
+        order = self._group(np.stack([descriptor_of(window) for window in cells]))
+        self._slopes = np.stack([known_slopes(cells[window]) for window in order])
         self._begins, places = self._places_of_bands()
         self._taps, self._power = np.empty((SIDE, places), np.float32), np.empty(places, np.float32)
         self._read = np.empty((FUNCTIONS, places), np.float32)
@@ -131,15 +128,12 @@ class Shortlist:
         top = levels.horizons[level] + self._rows[likely]
         agreement, off = np.empty(len(likely), np.float32), np.zeros((len(likely), 2), np.int64)
         compare_slopes(levels.cells, levels.table, level, top, column, self._slopes, likely, agreement, off)
-        found: dict[int, np.ndarray] = {}
-        for n in np.argsort(-agreement):
-            if agreement[n] < settings.agreement or len(found) == settings.candidates:
-                break
-            window = likely[n]
-            owner = int(self._owners[window])
-            if owner not in found:
-                found[owner] = self._placement(window, level[n], column[n] + off[n, 0], top[n] + off[n, 1])
-        return list(found.items())
+        order = np.argsort(-agreement)[: np.count_nonzero(agreement >= settings.agreement)]
+        _, first = np.unique(self._owners[likely[order]], return_index=True)
+        chosen = order[np.sort(first)[: settings.candidates]]
+        window = likely[chosen]
+        placements = self._placements(window, level[chosen], *(np.stack([column, top]) + off.T)[:, chosen])
+        return list(zip(self._owners[window].tolist(), placements, strict=True))
 
     def _best(self, levels: Levels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of each landmark's window the cosine to the window of the frame that it resembles most; level and column."""
@@ -182,7 +176,7 @@ class Shortlist:
         return order
 
     def _places_of_bands(self) -> tuple[np.ndarray, int]:
-        """For each band of each row of windows that is asked for a place, see `gather_bands`; and all places' number."""
+        """Where each band that is asked for begins, see `gather_bands`; and how many places all of them have."""
         levels = self._levels
         asked = np.zeros((2, len(levels.table), max(levels.rows) + BANDS - 1), bool)
         for group in self._groups:
@@ -194,52 +188,38 @@ class Shortlist:
         ends = sizes.cumsum().reshape(sizes.shape)
         return np.where(asked, ends - sizes, -1), int(ends.flat[-1])
 
-    def _slopes_of(self, landmark: Landmark, window: int) -> np.ndarray:
-        """Of the small picture in this window of it, see `known_slopes`."""
+    def _windows_of(self, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
+        """The squares that are described: the middle of each landmark in the flat picture, in two sizes.
+
+        Returns their sides in px, and their uppermost rows in cells from the horizon. The rows are rounded, so that
+        what is described is what the look-up will read.
+        """
+        targets, places = self.placements[:, [WIDTH, HEIGHT]].min(1), self._settings.place_window * camera.height
+        sides = np.outer(np.where(self._is_place, places, targets), SIZES).ravel()
+        rows = SIDE * ((self.placements[self._owners, Y] - camera.cy) / sides - 0.5)
+        return sides, (np.round(rows / DEPTH) * DEPTH).astype(np.int64)
+
+    def _cells_of(self, landmark: Landmark, window: int) -> np.ndarray:
+        """The landmark's small picture in this window, float32 (12, 12)."""
         side, camera = self._sides[window], self._camera
         steps = ((np.arange(SIDE * FINER) + 0.5) / (SIDE * FINER) - 0.5) * side
-        middle_x, middle_y = self.placements[self._owners[window], X], camera.cy + (self._rows[window] / SIDE + 0.5) * side
-        x, y = np.meshgrid(middle_x + steps, middle_y + steps)
-        cells = cv2.resize(landmark.picture_at(x, y, camera), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
-        return known_slopes(cells)
+        middle_y = camera.cy + (self._rows[window] / SIDE + 0.5) * side
+        x, y = np.meshgrid(self.placements[self._owners[window], X] + steps, middle_y + steps)
+        fine = landmark.picture_at(x, y, camera)
+        return np.asarray(cv2.resize(fine, (SIDE, SIDE), interpolation=cv2.INTER_AREA), np.float32)
 
-    def _placement(self, window: int, level: int, column: int, top: int) -> np.ndarray:
-        """The placement that follows from where a landmark's window was found."""
+    def _placements(self, windows: np.ndarray, level: np.ndarray, column: np.ndarray, top: np.ndarray) -> np.ndarray:
+        """The placements that follow from where landmarks' windows were found."""
         cell_x_px, cell_y_px = self._levels.cell_x_px[level], self._levels.cell_y_px[level]
-        number, camera = self._owners[window], self._camera
-        placement, zoom = self.placements[number].copy(), SIDE * cell_x_px / self._sides[window]
-        aside_px = (self._rows[window] / SIDE + 0.5) * self._sides[window] - (placement[Y] - camera.cy)
+        owners, sides, camera = self._owners[windows], self._sides[windows], self._camera
+        placements, zoom = self.placements[owners], SIDE * cell_x_px / sides
+        aside_px = (self._rows[windows] / SIDE + 0.5) * sides - (placements[:, Y] - camera.cy)
         x = (column + SIDE / 2) * cell_x_px - 0.5
-        placement[X] = azimuth_px(x, camera) if self._is_place[number] else x
-        placement[Y] = (top + SIDE / 2) * cell_y_px - 0.5 - zoom * aside_px
-        placement[[WIDTH, HEIGHT]] *= zoom
-        return placement
-
-
-def describe(
-    pyramid: Pyramid, placement: np.ndarray, camera: PinholeCamera, settings: ShortlistSettings, *, is_place: bool
-) -> np.ndarray:
-    """What a landmark is found again by: float32 (2, 48), one descriptor for each size of its window."""
-    sides, rows = windows_of(placement, camera, settings, is_place=is_place)
-    middles_y = camera.cy + (rows / SIDE + 0.5) * sides
-    windows = [np.array([placement[X], y, side, side, 0.0]) for y, side in zip(middles_y, sides, strict=True)]
-    return np.stack([descriptor_of(cells_at(pyramid, window)) for window in windows])
-
-
-def windows_of(
-    placement: np.ndarray, camera: PinholeCamera, settings: ShortlistSettings, *, is_place: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """The squares that are described: the middle of the placement in the flat picture, in two sizes.
-
-    Returns their sides in px, and their uppermost rows in cells from the horizon. The rows are rounded, so that what is
-    described is what the look-up will read.
-    """
-    side = min(placement[WIDTH], placement[HEIGHT])
-    if is_place:
-        side = settings.place_window * camera.height
-    sides = side * np.array(SIZES)
-    rows = SIDE * ((placement[Y] - camera.cy) / sides - 0.5)
-    return sides, (np.round(rows / DEPTH) * DEPTH).astype(int)
+        azimuth = np.arctan((x - camera.cx) / camera.fx)
+        placements[:, X] = np.where(self._is_place[owners], camera.cx + camera.fx * azimuth, x)
+        placements[:, Y] = (top + SIDE / 2) * cell_y_px - 0.5 - zoom * aside_px
+        placements[:, [WIDTH, HEIGHT]] *= zoom[:, None]
+        return placements
 
 
 def _runs(values: np.ndarray) -> list[tuple[int, int]]:

@@ -32,9 +32,9 @@ _FREE, _FREE_PLACE = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1
 class VerificationSettings:
     """When to believe that it is the landmark."""
 
-    steps: int = 4
-    """Of refinement, at most."""
-    tolerance: float = 0.004
+    steps: int = 2
+    """Of refinement, at most; four find less, since the map is a coarse one."""
+    tolerance: float = 0.002
     """In widths: a step smaller than this is the last."""
     worth_a_look: float = 0.6
     """Confidence on the small signature from which the full one is read."""

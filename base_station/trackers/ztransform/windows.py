@@ -9,7 +9,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from base_station.trackers.ztransform.kernels import WIDTH, sample_patch
 from base_station.trackers.ztransform.lookup_kernels import (
     BANDS,
     COLUMN_STEP,
@@ -30,7 +29,7 @@ WIDER = (BANDS - 1) * DEPTH // COLUMN_STEP
 """So many more places there are in a level for a band of columns than for a window."""
 DESCRIPTOR_SIZE = 2 * BANDS * FUNCTIONS
 POLES = PoleSettings(count=3, longest_cells=3.0, shortest_cells=1.0)
-LEVELS_PER_OCTAVE = 5
+LEVELS_PER_OCTAVE = 3
 LEVEL_STEP = 2 ** (1 / LEVELS_PER_OCTAVE)
 SMALLEST_CELL_PX = 3.0
 
@@ -88,7 +87,8 @@ def _table(heights: np.ndarray, widths: np.ndarray, first_rows: np.ndarray) -> n
 def _windows() -> np.ndarray:
     """What a profile of 12 cells is read with: central difference, then second-order poles about the middle.
 
-    float32 (8, 12): the eight strongest orthogonal combinations of them, from their singular value decomposition.
+    float32 (8, 12): the eight strongest orthogonal combinations of them, from their singular value decomposition, and
+    by the root of their strength: by all of it, the fine ones among them would hardly count.
     """
     difference = np.zeros((SIDE, SIDE))
     for n in range(1, SIDE - 1):
@@ -100,18 +100,10 @@ def _windows() -> np.ndarray:
             window = np.where(side > 0, side * pole ** np.maximum(side, 0), 0) * weight
             read += [window.real, window.imag]
     _, strength, directions = np.linalg.svd(np.array(read) @ difference)
-    return (strength[:FUNCTIONS, None] * directions[:FUNCTIONS]).astype(np.float32)
+    return (np.sqrt(strength[:FUNCTIONS, None]) * directions[:FUNCTIONS]).astype(np.float32)
 
 
 WINDOWS = _windows()
-
-
-def cells_at(pyramid: Pyramid, window: np.ndarray) -> np.ndarray:
-    """float32 (12, 12): this square of a flat picture."""
-    patch, seen = np.empty((SIDE, SIDE), np.float32), np.empty((SIDE, SIDE), np.uint8)
-    image, scale, reads = pyramid.for_cell(window[WIDTH] / SIDE)
-    sample_patch(image, scale, window, np.zeros(4), reads, patch, seen)
-    return patch
 
 
 def descriptor_of(cells: np.ndarray) -> np.ndarray:
