@@ -38,11 +38,6 @@ class Landmark:
     learned_depth_m: float | None = None
     """How far away it was along the optical axis, where that is known."""
 
-    @property
-    def bytes(self) -> int:
-        """What it takes in memory, and in a file before compression; names and numbers counted as 128."""
-        return self.picture.nbytes + self.step_map.nbytes + 128
-
     def placement(self, camera: PinholeCamera) -> np.ndarray:
         """Where it was learned, as seen by this camera; see `kernels`."""
         here = place_placement(self.camera) if self.box is None else box_placement(self.box)

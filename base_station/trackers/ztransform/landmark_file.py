@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import zipfile
@@ -29,6 +30,11 @@ _SHAPES: dict[str, tuple[type, tuple[int, ...]]] = {
     "depths_m": (np.float64, ()),
 }
 """Of one landmark. A place has a box of NaN, an unknown depth is NaN."""
+LANDMARK_BYTES = sum(
+    math.prod(shape) * (4 * LONGEST_NAME if kind is np.str_ else np.dtype(kind).itemsize)
+    for kind, shape in _SHAPES.values()
+)
+"""What one landmark takes in the file, before compression: all that is needed to find it again."""
 
 
 def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
