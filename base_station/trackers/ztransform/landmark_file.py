@@ -21,6 +21,8 @@ KIND, VERSION, OLDEST_VERSION = "zservo landmarks", 2, 1
 """Version 1 also held descriptors, which are now made from the picture."""
 MOST_LANDMARKS = 4096
 MOST_BYTES = 64 << 20
+MOST_PX = 1e5
+"""Of a box's place and size, and of focal lengths."""
 _SHAPES: dict[str, tuple[type, tuple[int, ...]]] = {
     "names": (np.str_, ()),
     "pictures": (np.uint8, (CELLS, CELLS)),
@@ -70,16 +72,22 @@ def read_landmarks(path: Path) -> list[Landmark]:
         arrays = _arrays(path)
     except OSError as error:
         raise StationError(f"{path} cannot be read ({error.strerror or error}).", usage=True) from error
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise StationError(f"{path} is no file of landmarks, or a damaged one ({error}).") from error
+    except zipfile.BadZipFile as error:
+        raise StationError(_unreadable(path, f"it was cut short or changed, or is something else: {error}")) from error
+    except (ValueError, KeyError, EOFError, NotImplementedError, RuntimeError) as error:
+        raise StationError(_unreadable(path, str(error).strip("'"))) from error
     except Exception as error:
         if type(error).__module__ != "zlib":
             raise
-        raise StationError(f"{path} is a damaged file of landmarks ({error}).") from error
+        raise StationError(_unreadable(path, str(error))) from error
     try:
         return [_landmark(arrays, number) for number in range(len(arrays["names"]))]
     except (ValueError, OverflowError) as error:
-        raise StationError(f"{path} is a damaged file of landmarks ({error}).") from error
+        raise StationError(_unreadable(path, str(error))) from error
+
+
+def _unreadable(path: Path, why: str) -> str:
+    return f"{path} is no file of landmarks, or a damaged one ({why}). Give another with --memory, or learn anew."
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -90,9 +98,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     with np.load(path, allow_pickle=False) as file:
         if "kind" not in file or file["kind"].shape != () or str(file["kind"]) != KIND:
             raise ValueError("it says nothing of landmarks")
-        version = file["version"]
-        if version.shape != () or not OLDEST_VERSION <= int(version) <= VERSION:
-            raise ValueError(f"version {version}, this program reads {VERSION}")
+        _check_version(path, file["version"] if "version" in file else np.array("unknown"))
         arrays = {name: file[name] for name in _SHAPES}
     count = arrays["names"].shape[:1]
     for name, (kind, shape) in _SHAPES.items():
@@ -103,6 +109,16 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _check_version(path: Path, version: np.ndarray) -> None:
+    if version.shape != () or not np.issubdtype(version.dtype, np.integer):
+        raise ValueError("it does not tell its version")
+    if not OLDEST_VERSION <= int(version) <= VERSION:
+        raise StationError(
+            f"{path} is of version {int(version)}, and this program reads {OLDEST_VERSION} to {VERSION}:"
+            " another version of this program wrote it. Use that one, or learn the landmarks again."
+        )
+
+
 def _landmark(arrays: dict[str, np.ndarray], number: int) -> Landmark:
     """Raises ValueError for numbers that make no landmark."""
     name, depth_m = str(arrays["names"][number]), float(arrays["depths_m"][number])
@@ -111,11 +127,13 @@ def _landmark(arrays: dict[str, np.ndarray], number: int) -> Landmark:
     step_map = arrays["step_maps"][number]
     if not np.isfinite(arrays["cameras"][number]).all() or not (1 <= width <= 8192 and 1 <= height <= 8192):
         raise ValueError(f"{name}: no camera")
-    if min(fx, fy) <= 0 or max(abs(cx), abs(cy)) > 1e5:
+    if min(fx, fy) <= 0 or max(fx, fy, abs(cx), abs(cy)) > MOST_PX:
         raise ValueError(f"{name}: no camera")
     if not np.isfinite(step_map).all() or depth_m <= 0 or np.isinf(depth_m):
         raise ValueError(f"{name}: numbers out of range")
     box = arrays["boxes"][number]
+    if not np.isnan(box).all() and not (np.abs(box) <= MOST_PX).all():
+        raise ValueError(f"{name}: its box is out of range")
     return Landmark(
         name=name,
         camera=PinholeCamera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy),
