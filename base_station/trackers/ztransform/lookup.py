@@ -17,7 +17,7 @@ from base_station.trackers.ztransform.outline import lens_of, outline, place_pla
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.shortlist import Shortlist, ShortlistSettings
 from base_station.trackers.ztransform.texture import texture_of
-from base_station.trackers.ztransform.verification import VerificationSettings, Verifier, box_of
+from base_station.trackers.ztransform.verification import Known, VerificationSettings, Verifier, box_of
 from base_station.types import Box, Frame
 
 
@@ -57,6 +57,8 @@ class _Plan:
     only: str | None
     landmarks: list[Landmark]
     shortlist: Shortlist
+    known: dict[int, Known]
+    """Of those, by number, that were on the shortlist once."""
 
 
 class LandmarkMemory:
@@ -147,12 +149,14 @@ class LandmarkMemory:
         """Made again only when a landmark changed, or the camera, or what is looked for."""
         if self._plan is None or self._plan.camera != camera or self._plan.only != only:
             landmarks = self.landmarks if only is None else [self._landmarks[only]]
-            self._plan = _Plan(camera, only, landmarks, Shortlist(landmarks, camera, self._settings.shortlist))
+            self._plan = _Plan(camera, only, landmarks, Shortlist(landmarks, camera, self._settings.shortlist), {})
         return self._plan
 
     def _sighting(self, pyramid: Pyramid, plan: _Plan, number: int, start: np.ndarray) -> Sighting | None:
         landmark, camera = plan.landmarks[number], plan.camera
-        verified = self._verifier.verify(pyramid, landmark, camera, start)
+        if number not in plan.known:
+            plan.known[number] = self._verifier.known(landmark)
+        verified = self._verifier.verify(pyramid, plan.known[number], camera, start)
         if verified is None:
             return None
         placement, confidence = verified

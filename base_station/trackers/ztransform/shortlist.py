@@ -5,7 +5,7 @@ size: y_h + g (y0 - y_h). In units of the window that is the same row at every l
 the same height against their size. They share one row of windows per level, and comparing them with all windows of all
 levels is one matrix product.
 
-Descriptors are coarse, and levels far apart. The best 256 are therefore looked at again: the slopes of the 144 cells
+Descriptors are coarse, and levels far apart. The best 224 are therefore looked at again: the slopes of the 144 cells
 themselves against those of the landmark's small picture, also a cell further left and right, up and down. Hardly any
 but true ones are left.
 """
@@ -60,11 +60,11 @@ class ShortlistSettings:
     place_zooms: tuple[float, float] = (0.8, 1.25)
     place_window: float = 0.45
     """A place is first looked for by its middle; this share of the frame's height."""
-    windows: int = 256
+    windows: int = 224
     """How many windows, of those that resemble a landmark's most, are looked at again."""
     resemblance: float = 0.5
     """Of the descriptors (normalised correlation), to be looked at again."""
-    agreement: float = 0.65
+    agreement: float = 0.68
     """Of the slopes (normalised correlation), to be handed on."""
     candidates: int = 24
     """How many landmarks to hand on."""

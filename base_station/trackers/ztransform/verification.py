@@ -44,6 +44,19 @@ class VerificationSettings:
     """Of a landmark that must lie in the frame."""
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is made of a landmark once, to verify it quickly; 21 kB."""
+
+    is_place: bool
+    small_patch: np.ndarray
+    small_signature: np.ndarray
+    maps: np.ndarray
+    """float32 (1, 5, numbers)."""
+    patch: np.ndarray
+    signature: np.ndarray
+
+
 class Verifier:
     """Refines and judges. Knows no landmark of its own."""
 
@@ -60,24 +73,32 @@ class Verifier:
         """A landmark's map, float16 (5, numbers), see `regression`."""
         return learn_maps(pyramid, placement, lens, self._small, SMALL_REGRESSION)[0].astype(np.float16)
 
+    def known(self, landmark: Landmark) -> Known:
+        """Make it ready."""
+        patch, cells = box_of(landmark.picture).astype(np.float32), (SMALL.cells, SMALL.cells)
+        small = cv2.resize(box_of(landmark.picture), cells, interpolation=cv2.INTER_AREA).astype(np.float32)
+        return Known(
+            is_place=landmark.box is None,
+            small_patch=small,
+            small_signature=self._small.signature(small)[0],
+            maps=landmark.step_map.astype(np.float32)[None],
+            patch=patch,
+            signature=self._full.signature(patch)[0],
+        )
+
     def verify(
-        self, pyramid: Pyramid, landmark: Landmark, camera: PinholeCamera, start: np.ndarray
+        self, pyramid: Pyramid, known: Known, camera: PinholeCamera, start: np.ndarray
     ) -> tuple[np.ndarray, float] | None:
         """The placement, refined from `start`, and the confidence 0..1. None unless both signatures agree there."""
-        settings, is_place = self._settings, landmark.box is None
-        lens, inside = lens_of(camera, curved=is_place), box_of(landmark.picture)
-        patch = cv2.resize(inside, (SMALL.cells, SMALL.cells), interpolation=cv2.INTER_AREA).astype(np.float32)
-        placement, signature = start.copy(), self._small.signature(patch)[0]
+        settings, lens, placement = self._settings, lens_of(camera, curved=known.is_place), start.copy()
         confidence, share, _ = refine(
-            *self._small.source(pyramid, placement), lens, placement, patch, signature,
-            landmark.step_map.astype(np.float32)[None], self._turns, _FREE_PLACE if is_place else _FREE,
+            *self._small.source(pyramid, placement), lens, placement, known.small_patch, known.small_signature,
+            known.maps, self._turns, _FREE_PLACE if known.is_place else _FREE,
             settings.tolerance, *self._scratch, *self._small.plan,
         )  # fmt: skip
         if confidence < settings.worth_a_look or share < settings.least_share:
             return None
-        learned = inside.astype(np.float32)
-        now = self._full.read(pyramid, placement, lens, learned)
-        confidence = float(inner(now, self._full.signature(learned)[0]))
+        confidence = float(inner(self._full.read(pyramid, placement, lens, known.patch), known.signature))
         return (placement, min(confidence, 1.0)) if confidence >= settings.confidence else None
 
 
