@@ -6,6 +6,7 @@ reasons and the conversion to a result stand here. A learned place is the patch 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -93,6 +94,11 @@ class PatchTracker(ABC):
             return _lost(Missed("the target left the frame"))
         self._last = found
         return _tracked(found, learned, frame)
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the patch, a byte a pixel, from which all else can be made once more."""
+        return math.prod(self._learned.shape) if self._learned is not None else 0
 
     def close(self) -> None:
         """Let go of what was learned."""

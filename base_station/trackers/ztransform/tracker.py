@@ -14,6 +14,7 @@ import numpy as np
 
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
+from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
 from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
 from base_station.trackers.ztransform.motion import Motion
 from base_station.trackers.ztransform.outline import left_side, lens_of, outline, place_placement, to_pixel
@@ -146,6 +147,11 @@ class ZTransformTracker:
         self._is_tracking = False
         self._frames_lost += 1
         return _lost(self._why(frame, look), look.confidence)
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find what was learned again: a `Landmark`. `recall.py` makes a tracker of one."""
+        return LANDMARK_BYTES if self._learned is not None else 0
 
     def close(self) -> None:
         """Let go of what was learned."""

@@ -148,6 +148,11 @@ class ZShiftTracker:
         """Let go of what was learned."""
         self._axes = None
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the row and the column, four bytes a pixel."""
+        return 4 * sum(self._shape) if self._axes is not None else 0
+
     def _anchor(self, place: np.ndarray) -> tuple[int, int]:
         """Column and row, whole and in the frame, from which to look for what is about there."""
         x, y = np.floor(place)
