@@ -96,6 +96,11 @@ class PatchTracker(ABC):
         self._last = found
         return _tracked(found, learned, frame)
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the patch, a byte a pixel, from which all else can be made once more."""
+        return math.prod(self._learned.shape) if self._learned is not None else 0
+
     def close(self) -> None:
         """Let go of what was learned."""
         self._learned = None

@@ -42,6 +42,11 @@ class PhaseRowTracker(RowsOfPatch):
         super().__init__()
         self._settings = settings or PhaseRowSettings()
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the bands."""
+        return int(self._bands.nbytes)
+
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         columns = learned.shape[1]
         self._window = np.hanning(columns + 2)[1:-1].astype(np.float32)

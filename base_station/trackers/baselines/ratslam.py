@@ -31,6 +31,11 @@ class RatSlamTracker(RowsOfPatch):
         super().__init__()
         self._settings = settings or RatSlamSettings()
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the profile."""
+        return int(self._profile.nbytes)
+
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         rows, columns = learned.shape
         if learned.is_place:

@@ -162,6 +162,11 @@ class ZShiftTracker:
         """Let go of what was learned."""
         self._axes = None
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the row and the column, four bytes a pixel."""
+        return 4 * sum(self._shape) if self._axes is not None else 0
+
     def _profile(self, image: np.ndarray, axis: int, place: np.ndarray) -> np.ndarray:
         """Axis 0: the mean row of the band about the place, axis 1: the mean column; float64, as long as the frame."""
         side = self._settings.rows or self._size[1 - axis]
