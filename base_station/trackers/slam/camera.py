@@ -17,6 +17,7 @@ from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
 COEFFICIENTS = (0, 4, 5)
 """How many distortion coefficients there may be: none, k1 k2 p1 p2, or k3 as the fifth."""
 SMALLEST_SIDE_PX = 64
+CORRECTIONS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,10 +95,11 @@ class SlamCamera:
         points_px = np.ascontiguousarray(points_px, np.float32)
         if not self.distorts or not len(points_px):
             return points_px
-        coefficients = np.array(self.distortion)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-8)
-        ideal = cv2.undistortPointsIter(points_px[:, None], self.matrix, coefficients, np.eye(3), self.matrix, criteria)
-        return ideal[:, 0].astype(np.float32)
+        first = cv2.undistortPoints(points_px[:, None], self.matrix, np.array(self.distortion), None, self.matrix)
+        ideal = first[:, 0].astype(np.float64)
+        for _ in range(CORRECTIONS):  # OpenCV's five iterations leave some tenths of a px at the border of a wide lens
+            ideal += points_px - self.distort(ideal)
+        return ideal.astype(np.float32)
 
     def distort(self, points_px: np.ndarray) -> np.ndarray:
         """The way back: where the picture shows what an ideal pinhole sees at these points (n, 2), float64 px."""

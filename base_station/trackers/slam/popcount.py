@@ -20,7 +20,7 @@ def _ones(typing_context, word):
     return types.uint64(types.uint64), generate
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def hamming(a, b):
     """Bits in which two descriptors (4,) uint64 differ: 0..256."""
     bits = np.uint64(0)

@@ -1,0 +1,176 @@
+"""The motion between two pictures, from matched keypoints only: by a homography or by an essential matrix.
+
+A plane (or a camera that only turns) is explained by a homography, and an essential matrix computed from it is a guess;
+a room is explained by an essential matrix only. Both are fitted, and a score of our own says which one holds (Mur-Artal
+et al. 2015, section IV): every match counts by how far below the chi-square bound its transfer error lies, both ways.
+What the better model decomposes to is triangulated, and is believed only when one motion is clearly the best, and
+enough of its points are seen under an angle from which depth can be told. A camera that only turned never passes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from base_station.trackers.slam.pose_optimization import CHI2_TWO
+from base_station.trackers.slam.se3 import inverse, pose_of
+from base_station.trackers.slam.triangulation import believable, parallax_cosines, triangulate
+
+CHI2_ONE = 3.841
+"""95 % for one number: the distance to an epipolar line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoViewSettings:
+    """When a pair of pictures is believed to show a motion."""
+
+    sigma_px: float = 1.0
+    """Standard deviation of a keypoint on the finest level."""
+    homography_share: float = 0.5
+    """The homography is taken when its score is more than this share of both scores."""
+    least_points: int = 60
+    """That are triangulated well."""
+    least_share: float = 0.5
+    """Of the model's inliers that must be triangulated well."""
+    rival_share: float = 0.8
+    """A second motion with more than this share of the best one's points makes the pair ambiguous."""
+    least_parallax_rad: float = math.radians(1.0)
+    """Under which points must be seen..."""
+    parallax_share: float = 0.4
+    """...this share of them."""
+
+
+@dataclass(frozen=True)
+class TwoView:
+    """`two_from_one` 4x4 (translation of length 1), `points` (m, 3) in camera one, `rows` (m,): of which matches."""
+
+    two_from_one: np.ndarray
+    points: np.ndarray
+    rows: np.ndarray
+    planar: bool
+
+
+def solve_two_view(
+    uv_one_px: np.ndarray,
+    uv_two_px: np.ndarray,
+    camera_matrix: np.ndarray,
+    octave_scales: tuple[np.ndarray, np.ndarray],
+    settings: TwoViewSettings | None = None,
+) -> TwoView | str:
+    """The motion between matched keypoints (n, 2), or in words why there is none to be believed.
+
+    `octave_scales` (both (n,)): the scale at which each keypoint was found; its standard deviation grows with it.
+    """
+    settings = settings or TwoViewSettings()
+    if len(uv_one_px) < settings.least_points:
+        return "too few matches"
+    one, two = np.asarray(uv_one_px, np.float64), np.asarray(uv_two_px, np.float64)
+    essential, _ = cv2.findEssentialMat(one, two, camera_matrix, cv2.USAC_MAGSAC, 0.999, settings.sigma_px * 1.5)
+    homography, _ = cv2.findHomography(one, two, cv2.USAC_MAGSAC, settings.sigma_px * 2.0, maxIters=500)
+    if essential is None or essential.shape != (3, 3):
+        return "no motion fits"
+    sigma = (settings.sigma_px * octave_scales[0], settings.sigma_px * octave_scales[1])
+    score_e, inliers_e = epipolar_score(essential, one, two, camera_matrix, sigma)
+    score_h, inliers_h = homography_score(homography, one, two, sigma)
+    planar = score_h > settings.homography_share * (score_h + score_e)
+    motions = _motions_of_homography(homography, camera_matrix) if planar else _motions_of_essential(essential)
+    inliers = np.flatnonzero(inliers_h if planar else inliers_e)
+    return _best_motion(motions, inliers, one, two, camera_matrix, sigma, planar, settings)
+
+
+def _best_motion(
+    motions: list[np.ndarray],
+    inliers: np.ndarray,
+    one: np.ndarray,
+    two: np.ndarray,
+    camera_matrix: np.ndarray,
+    sigma: tuple[np.ndarray, np.ndarray],
+    planar: bool,
+    settings: TwoViewSettings,
+) -> TwoView | str:
+    intrinsics = np.array([camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]])
+    if len(inliers) < settings.least_points:
+        return "too few matches agree"
+    tried = []
+    for motion in motions:
+        points = triangulate(np.eye(4), motion, one[inliers], two[inliers], intrinsics)
+        good = believable(
+            points, (np.eye(4), motion), (one[inliers], two[inliers]), (sigma[0][inliers], sigma[1][inliers]),
+            intrinsics, least_parallax_rad=1e-4,
+        )  # fmt: skip
+        tried.append((int(good.sum()), motion, points, good))
+    tried.sort(key=lambda one_try: -one_try[0])
+    count, motion, points, good = tried[0]
+    if count < max(settings.least_points, settings.least_share * len(inliers)):
+        return "too few points lie before both cameras"
+    if len(tried) > 1 and tried[1][0] > settings.rival_share * count:
+        return "two motions explain it"
+    cosines = parallax_cosines(points[good], np.zeros(3), inverse(motion)[:3, 3])
+    wide = int((cosines < math.cos(settings.least_parallax_rad)).sum())
+    if wide < max(settings.parallax_share * count, settings.least_points * 0.5):
+        return "the camera has not moved enough"
+    return TwoView(motion, points[good], inliers[good], planar)
+
+
+def epipolar_score(
+    essential: np.ndarray,
+    one: np.ndarray,
+    two: np.ndarray,
+    camera_matrix: np.ndarray,
+    sigma: tuple[np.ndarray, np.ndarray],
+) -> tuple[float, np.ndarray]:
+    """Score of an essential matrix and which matches fit it, (n,) bool."""
+    inverse_matrix = np.linalg.inv(camera_matrix)
+    fundamental = inverse_matrix.T @ essential @ inverse_matrix
+    return _score(
+        _line_distance2(fundamental, one, two) / sigma[1] ** 2,
+        _line_distance2(fundamental.T, two, one) / sigma[0] ** 2,
+        CHI2_ONE,
+    )
+
+
+def homography_score(
+    homography: np.ndarray | None, one: np.ndarray, two: np.ndarray, sigma: tuple[np.ndarray, np.ndarray]
+) -> tuple[float, np.ndarray]:
+    """Score of a homography and which matches fit it, (n,) bool."""
+    if homography is None or abs(np.linalg.det(homography)) < 1e-12:
+        return 0.0, np.zeros(len(one), bool)
+    there = np.sum((_mapped(homography, one) - two) ** 2, axis=1)
+    back = np.sum((_mapped(np.linalg.inv(homography), two) - one) ** 2, axis=1)
+    return _score(there / sigma[1] ** 2, back / sigma[0] ** 2, CHI2_TWO)
+
+
+def _score(there: np.ndarray, back: np.ndarray, bound: float) -> tuple[float, np.ndarray]:
+    good_there, good_back = there < bound, back < bound
+    score = np.sum((CHI2_TWO - there)[good_there]) + np.sum((CHI2_TWO - back)[good_back])
+    return float(score), good_there & good_back
+
+
+def _line_distance2(fundamental: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    lines = np.column_stack([one, np.ones(len(one))]) @ fundamental.T
+    value = lines[:, 0] * two[:, 0] + lines[:, 1] * two[:, 1] + lines[:, 2]
+    return value**2 / np.maximum(lines[:, 0] ** 2 + lines[:, 1] ** 2, 1e-18)
+
+
+def _mapped(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return mapped[:, :2] / mapped[:, 2:]
+
+
+def _motions_of_essential(essential: np.ndarray) -> list[np.ndarray]:
+    one, two, along = cv2.decomposeEssentialMat(essential)
+    return [pose_of(rotation, sign * along) for rotation in (one, two) for sign in (1.0, -1.0)]
+
+
+def _motions_of_homography(homography: np.ndarray, camera_matrix: np.ndarray) -> list[np.ndarray]:
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(homography, camera_matrix)
+    motions = []
+    for rotation, translation in zip(rotations, translations, strict=True):
+        length = float(np.linalg.norm(translation))
+        if length > 1e-6:
+            motions.append(pose_of(rotation, translation / length))
+    return motions
