@@ -132,7 +132,7 @@ def figure_table(found: dict[str, Any]) -> Table:
     table.add_column("value", justify="right")
     rows = {
         "frames": f"{found['frames']}",
-        "tracked": f"{found['tracked_share']:.1%}",
+        "tracked, of the shown ones": f"{found['tracked_share']:.1%}, {found['tracked_share_of_shown']:.1%}",
         "dropped, unreadable": f"{found['dropped_frames']}, {found['unreadable_frames']}",
         "ATE, RMSE": _rounded(found["ate_rmse"], 4),
         "ATE of keyframes, of poses told at once": f"{_rounded(found['ate_keyframes_rmse'], 4)}, "

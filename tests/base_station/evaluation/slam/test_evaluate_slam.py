@@ -84,6 +84,7 @@ def test_real_time_waits_for_pictures_and_drops_those_that_come_too_late(tmp_pat
     found = figures(sequence, run)
     assert (found["dropped_frames"], found["tracked_frames"], found["ms_max"]) == (2, FRAMES - 5, pytest.approx(40))
     assert found["tracked_share"] == pytest.approx((FRAMES - 5) / FRAMES)
+    assert found["tracked_share_of_shown"] == pytest.approx((FRAMES - 5) / (FRAMES - 2))
     quick = show(sequence, ConstantMotion(sequence.camera), clock=clock, sleep=clock.sleep)
     assert all(one.outcome is not Outcome.DROPPED for one in quick.shown)
 
