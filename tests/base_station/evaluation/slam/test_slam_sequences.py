@@ -68,6 +68,17 @@ def test_another_camera_and_none(tmp_path, layout):
     assert assumed.truth is not None
 
 
+def test_a_yaml_in_the_folder_stands_in_for_the_calibration_of_the_format(tmp_path):
+    for folder, calibration in (
+        (write_euroc_sequence(tmp_path / "V1"), "mav0/cam0/sensor.yaml"),
+        (write_kitti_sequence(tmp_path / "dataset" / "sequences" / "03"), "calib.txt"),
+    ):
+        (folder / calibration).unlink()
+        assert read_sequence(folder).camera_source.startswith("assumed")
+        (folder / "EuRoC.yaml").write_text(ORBSLAM_YAML)
+        assert read_sequence(folder).camera.distortion == (-0.1, 0.01, 0.0, 0.0)
+
+
 def test_old_and_new_keys_of_orbslam(tmp_path):
     file = tmp_path / "TUM1.yaml"
     file.write_text(
