@@ -17,7 +17,7 @@ from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
 COEFFICIENTS = (0, 4, 5)
 """How many distortion coefficients there may be: none, k1 k2 p1 p2, or k3 as the fifth."""
 SMALLEST_SIDE_PX = 64
-CORRECTIONS = 3
+CORRECTIONS = 6
 
 
 @dataclass(frozen=True, kw_only=True)

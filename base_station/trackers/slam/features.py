@@ -198,7 +198,11 @@ def _spread(xy, scores, cell_px, width, height, count):
     return picked
 
 
-_HALF_WIDTHS = np.array([int((PATCH_RADIUS_PX**2 - v * v) ** 0.5 + 0.5) for v in range(PATCH_RADIUS_PX + 1)])
+_ROUND = [round((PATCH_RADIUS_PX**2 - v * v) ** 0.5) for v in range(PATCH_RADIUS_PX + 1)]
+_HALF_WIDTHS = np.array(
+    [max(u for u in range(PATCH_RADIUS_PX + 1) if _ROUND[v] >= u or _ROUND[u] >= v) for v in range(16)]
+)
+"""Of the disc's rows; the same across as along, or the angle would depend on how the camera is turned."""
 
 
 def orientations(image: np.ndarray, xy: np.ndarray) -> np.ndarray:

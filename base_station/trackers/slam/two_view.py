@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
-from base_station.trackers.slam.se3 import inverse, pose_of
+from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad
 from base_station.trackers.slam.triangulation import believable, parallax_cosines, triangulate
 
 CHI2_ONE = 3.841
@@ -29,18 +29,26 @@ class TwoViewSettings:
 
     sigma_px: float = 1.0
     """Standard deviation of a keypoint on the finest level."""
-    homography_share: float = 0.5
+    homography_share: float = 0.45
     """The homography is taken when its score is more than this share of both scores."""
     least_points: int = 60
     """That are triangulated well."""
     least_share: float = 0.5
     """Of the model's inliers that must be triangulated well."""
-    rival_share: float = 0.8
-    """A second motion with more than this share of the best one's points makes the pair ambiguous."""
+    lead_share: float = 0.1
+    """Of its points, by which the best motion must lead before any other one, and..."""
+    least_lead: int = 30
+    """...by so many points. A plane has two motions that explain it alike; what lies off the plane decides."""
+    same_rotation_rad: float = math.radians(2.0)
+    """Motions that differ by less than this, and..."""
+    same_direction_rad: float = math.radians(15.0)
+    """...whose translations do by less than this, are the same motion, found twice."""
     least_parallax_rad: float = math.radians(1.0)
-    """Under which points must be seen..."""
-    parallax_share: float = 0.4
-    """...this share of them."""
+    """Under which points must be seen: `least_points` of them..."""
+    parallax_share: float = 0.2
+    """...and this share."""
+    kept_parallax_rad: float = math.radians(0.3)
+    """Under which a point must be seen to be kept."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +84,10 @@ def solve_two_view(
     score_e, inliers_e = epipolar_score(essential, one, two, camera_matrix, sigma)
     score_h, inliers_h = homography_score(homography, one, two, sigma)
     planar = score_h > settings.homography_share * (score_h + score_e)
-    motions = _motions_of_homography(homography, camera_matrix) if planar else _motions_of_essential(essential)
-    inliers = np.flatnonzero(inliers_h if planar else inliers_e)
+    motions, fitting = _motions_of_essential(essential), inliers_e
+    if planar:
+        motions, fitting = [*_motions_of_homography(homography, camera_matrix), *motions], inliers_e | inliers_h
+    inliers = np.flatnonzero(fitting)
     return _best_motion(motions, inliers, one, two, camera_matrix, sigma, planar, settings)
 
 
@@ -106,13 +116,21 @@ def _best_motion(
     count, motion, points, good = tried[0]
     if count < max(settings.least_points, settings.least_share * len(inliers)):
         return "too few points lie before both cameras"
-    if len(tried) > 1 and tried[1][0] > settings.rival_share * count:
-        return "two motions explain it"
     cosines = parallax_cosines(points[good], np.zeros(3), inverse(motion)[:3, 3])
     wide = int((cosines < math.cos(settings.least_parallax_rad)).sum())
-    if wide < max(settings.parallax_share * count, settings.least_points * 0.5):
+    if wide < max(settings.parallax_share * count, settings.least_points):
         return "the camera has not moved enough"
+    rival = max((one_try[0] for one_try in tried[1:] if not _same(one_try[1], motion, settings)), default=0)
+    if count - rival < max(settings.least_lead, settings.lead_share * count):
+        return "two motions explain it"
+    good[good] = cosines < math.cos(settings.kept_parallax_rad)
     return TwoView(motion, points[good], inliers[good], planar)
+
+
+def _same(one: np.ndarray, two: np.ndarray, settings: TwoViewSettings) -> bool:
+    direction = math.acos(float(np.clip(one[:3, 3] @ two[:3, 3], -1.0, 1.0)))
+    turn = rotation_angle_rad(one[:3, :3] @ two[:3, :3].T)
+    return turn < settings.same_rotation_rad and direction < settings.same_direction_rad
 
 
 def epipolar_score(
