@@ -73,7 +73,10 @@ def evaluate_slam(command: EvaluateSlam) -> None:
     if command.json is not None:
         write_json(command.json, found)
     if command.output is not None:
-        write_output(command.output, sequence, run)
+        try:
+            write_output(command.output, sequence, run)
+        except OSError as error:
+            raise StationError(f"--output: {command.output} cannot be written ({error.strerror}).") from error
 
 
 def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
@@ -108,7 +111,7 @@ def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int)
 
 
 def write_output(folder: Path, sequence: SlamSequence, run: SlamRun) -> None:
-    """Trajectories (TUM and EuRoC), frames.csv, the map (PLY, COLMAP), plots. Raises StationError."""
+    """Trajectories (TUM and EuRoC), frames.csv, the map (PLY, COLMAP), plots. Raises StationError or OSError."""
     for name, trajectory in (("CameraTrajectory", run.trajectory), ("KeyFrameTrajectory", run.keyframes)):
         write_tum(folder / f"{name}.txt", trajectory)
         write_euroc(folder / f"{name}.csv", trajectory)

@@ -90,7 +90,11 @@ def _run(command: Comparison, arguments: Sequence[str]) -> None:
         for number in range(1, command.runs + 1):
             for name in systems:
                 print(f"{PROG}: {name}, run {number} of {command.runs}", file=sys.stderr)
-                found[name].append(run_program(programs[name], folder / "figures.json"))
+                try:
+                    found[name].append(run_program(programs[name], folder / "figures.json"))
+                except StationError as error:  # the other runs still tell something
+                    print(f"{PROG}: {error}", file=sys.stderr)
+                    found[name].append({"failed": str(error)})
     console = plain_console()
     console.print(f"machine: {machine_line().removesuffix('; one thread')}", highlight=False, soft_wrap=True)
     console.print(f"load before the runs: {load:.1f}", highlight=False)
@@ -102,6 +106,9 @@ def _run(command: Comparison, arguments: Sequence[str]) -> None:
         print(f"ORB-SLAM3 is not installed: scripts/{PROG} tells in its first lines how to get it.", file=sys.stderr)
     if command.json is not None:
         write_json(command.json, found | {"_machine": machine(), "_run": {"command": [PROG, *arguments]}})
+    for name, runs in found.items():
+        if all("failed" in figures for figures in runs):
+            raise StationError(f"{name} failed in every run.")
 
 
 def _ours(command: Comparison) -> list[str]:
@@ -136,17 +143,20 @@ def _limit(command: Comparison) -> list[str]:
 
 
 def run_program(program: Sequence[str], file: Path) -> dict[str, Any]:
-    """The figures that it writes with --json. Raises StationError with its last words when it fails."""
+    """The figures that it writes with --json, which is the last thing that it does: a crash afterwards
+    (ORB-SLAM3's threads) loses nothing. Raises StationError with the program's last words when there are none."""
     with contextlib.suppress(FileNotFoundError):
         file.unlink()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [*program, "--json", str(file)], env=environment, capture_output=True, text=True, errors="replace", check=False
     )
-    if done.returncode or not file.is_file():
-        said = (done.stderr or done.stdout).strip().splitlines() or [f"exit code {done.returncode}"]
-        raise StationError(f"{' '.join(program[:3])} failed: {said[-1]}")
-    figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    try:
+        figures: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        said = (done.stderr or done.stdout).strip().splitlines() or ["it said nothing"]
+        text = f"{' '.join(program[:3])} failed with exit code {done.returncode}: {said[-1]}"
+        raise StationError(text) from None
     return figures
 
 

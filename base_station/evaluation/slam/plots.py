@@ -13,6 +13,8 @@ from base_station.evaluation.thesis.plotting import LIGHT, Palette, draw_to
 
 AXES = "xyz"
 SIZE_IN, DPI = (9.0, 6.5), 110
+GAP_STEPS = 10
+"""A path is broken where poses are missing for so many usual steps."""
 SHOWN_SHARE = 98.0
 """Percent of the map's points that are within the plot: a few lie far away and would leave the rest no room."""
 
@@ -21,6 +23,7 @@ def plot_trajectory(path: Path, found: Trajectory, truth: Trajectory | None, mil
     """The path from the side that shows most of it, its error over time, and the time that each picture took."""
     pairs = aligned(found, truth) if truth is not None else None
     ours = pairs.found[:, :3, 3] if pairs is not None else found.positions
+    times = pairs.times_s if pairs is not None else found.times_s
     theirs = None if truth is None or (pairs is None and len(found)) else truth.positions
 
     def draw(figure: Any, palette: Palette) -> None:
@@ -29,7 +32,8 @@ def plot_trajectory(path: Path, found: Trajectory, truth: Trajectory | None, mil
         across, up = _widest_axes(ours if theirs is None else theirs)
         if theirs is not None:
             above.plot(theirs[:, across], theirs[:, up], color=palette.unknown, label="truth")
-        above.plot(ours[:, across], ours[:, up], color=palette.series[0], linewidth=1.2, label="SLAM")
+        whole = _with_gaps(ours, times)
+        above.plot(whole[:, across], whole[:, up], color=palette.series[0], linewidth=1.2, label="SLAM")
         above.set(title="Path", xlabel=AXES[across], ylabel=AXES[up], aspect="equal", adjustable="datalim")
         above.legend(loc="best")
         if pairs is not None:
@@ -71,6 +75,14 @@ def plot_map(path: Path, points: np.ndarray, keyframes: Trajectory) -> None:
         axes.legend(loc="best")
 
     draw_to(path, draw, LIGHT, size_in=SIZE_IN, dpi=DPI)
+
+
+def _with_gaps(places: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """With a row of NaN, which draws no line, wherever poses are missing for long."""
+    steps = np.diff(times_s)
+    if not len(steps):
+        return places
+    return np.insert(places, np.flatnonzero(steps > GAP_STEPS * np.median(steps)) + 1, np.nan, axis=0)
 
 
 def _widest_axes(places: np.ndarray) -> tuple[int, int]:

@@ -129,6 +129,25 @@ def test_ours_alone_where_orbslam_is_not_installed(tmp_path, monkeypatch, capsys
     assert [run["frames"] for run in found["zservo"]] == [8] and found["zservo"][0]["realtime"] is True
 
 
+def test_a_failed_run_does_not_lose_the_others(tmp_path, monkeypatch, capsys):
+    folder, figures = write_tum_sequence(tmp_path / "toy", 4), [{"tracked_share": 0.5}, None, {"tracked_share": 0.7}]
+    monkeypatch.setattr(comparison, "PEER_PYTHON", tmp_path / "nothing")
+
+    def run(program, file):
+        found = figures.pop(0)
+        if found is None:
+            raise comparison.StationError("it crashed")
+        return found
+
+    monkeypatch.setattr(comparison, "run_program", run)
+    assert comparison.main([str(folder)]) == 0
+    said = capsys.readouterr()
+    assert "60.0%" in said.out and "it crashed" in said.err
+    figures[:] = [None] * 3
+    assert comparison.main([str(folder)]) == 1
+    assert "zservo failed in every run" in capsys.readouterr().err
+
+
 def test_the_table_has_every_run_and_the_medians():
     runs = [
         {"tracked_share": share, "ate_rmse": ate, "ms_p50": 9.0} for share, ate in ((0.9, 0.2), (0.8, None), (1, 0.4))
@@ -145,8 +164,10 @@ def test_what_fails_says_why(tmp_path, capsys):
     failing = [sys.executable, "-c", "import sys; sys.exit('no vocabulary')"]
     with pytest.raises(comparison.StationError, match="no vocabulary"):
         run_program(failing, tmp_path / "figures.json")
-    with pytest.raises(comparison.StationError, match="exit code 0"):
+    with pytest.raises(comparison.StationError, match="exit code 0: it said nothing"):
         run_program([sys.executable, "-c", "pass"], tmp_path / "figures.json")
+    late = "import os, sys; open(sys.argv[-1], 'w').write('{\"frames\": 3}'); os.abort()"
+    assert run_program([sys.executable, "-c", late], tmp_path / "figures.json") == {"frames": 3}
     assert comparison.main([str(tmp_path / "nothing")]) == 2
     assert comparison.main([str(tmp_path), "--runs", "0"]) == 2
     assert "There is no folder" in capsys.readouterr().err
