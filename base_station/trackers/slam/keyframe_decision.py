@@ -13,11 +13,11 @@ from dataclasses import dataclass
 class KeyframeSettings:
     """When a picture is kept."""
 
-    seen_share: float = 0.6
+    seen_share: float = 0.7
     """Of the reference keyframe's points that a picture must still see..."""
     urgent_share: float = 0.4
     """...and below which it is kept although the mapper is at work."""
-    most_frames: int = 20
+    most_frames: int = 10
     """Since the last keyframe, after which one is taken when the mapper is idle."""
     least_frames: int = 1
     """Since the last keyframe, before the next."""

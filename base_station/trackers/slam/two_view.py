@@ -17,10 +17,11 @@ import numpy as np
 
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad
-from base_station.trackers.slam.triangulation import believable, parallax_cosines, triangulate
+from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
 
 CHI2_ONE = 3.841
 """95 % for one number: the distance to an epipolar line."""
+FINEST_PX, EXACT_SIGMAS = 0.15, 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +37,8 @@ class TwoViewSettings:
     least_share: float = 0.5
     """Of the model's inliers that must be triangulated well."""
     lead_share: float = 0.1
-    """Of its points, by which the best motion must lead before any other one, and..."""
-    least_lead: int = 30
-    """...by so many points. A plane has two motions that explain it alike; what lies off the plane decides."""
+    """Of its score, by which the best motion must lead before any other one. A plane has two motions that explain it
+    alike; what lies off the plane decides."""
     same_rotation_rad: float = math.radians(2.0)
     """Motions that differ by less than this, and..."""
     same_direction_rad: float = math.radians(15.0)
@@ -46,7 +46,9 @@ class TwoViewSettings:
     least_parallax_rad: float = math.radians(1.0)
     """Under which points must be seen: `least_points` of them..."""
     parallax_share: float = 0.2
-    """...and this share."""
+    """...and this share..."""
+    planar_parallax_share: float = 0.6
+    """...and this one where a homography explains the pair as well: then the motions are harder to tell apart."""
     kept_parallax_rad: float = math.radians(0.3)
     """Under which a point must be seen to be kept."""
 
@@ -104,27 +106,64 @@ def _best_motion(
     intrinsics = np.array([camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]])
     if len(inliers) < settings.least_points:
         return "too few matches agree"
-    tried = []
-    for motion in motions:
-        points = triangulate(np.eye(4), motion, one[inliers], two[inliers], intrinsics)
-        good = believable(
-            points, (np.eye(4), motion), (one[inliers], two[inliers]), (sigma[0][inliers], sigma[1][inliers]),
-            intrinsics, least_parallax_rad=1e-4,
-        )  # fmt: skip
-        tried.append((int(good.sum()), motion, points, good))
-    tried.sort(key=lambda one_try: -one_try[0])
-    count, motion, points, good = tried[0]
+    tried = [
+        _try(motion, one[inliers], two[inliers], intrinsics, (sigma[0][inliers], sigma[1][inliers]))
+        for motion in motions
+    ]
+    count = max(int(one_try.good.sum()) for one_try in tried)
     if count < max(settings.least_points, settings.least_share * len(inliers)):
         return "too few points lie before both cameras"
-    cosines = parallax_cosines(points[good], np.zeros(3), inverse(motion)[:3, 3])
+    scores = _scores(tried, count)
+    best = tried[int(np.argmax(scores))]
+    cosines = parallax_cosines(best.points[best.good], np.zeros(3), inverse(best.motion)[:3, 3])
     wide = int((cosines < math.cos(settings.least_parallax_rad)).sum())
-    if wide < max(settings.parallax_share * count, settings.least_points):
+    share = settings.planar_parallax_share if planar else settings.parallax_share
+    if wide < max(share * len(cosines), settings.least_points):
         return "the camera has not moved enough"
-    rival = max((one_try[0] for one_try in tried[1:] if not _same(one_try[1], motion, settings)), default=0)
-    if count - rival < max(settings.least_lead, settings.lead_share * count):
+    others = [
+        score for score, other in zip(scores, tried, strict=True) if not _same(other.motion, best.motion, settings)
+    ]
+    if max(others, default=0.0) > (1.0 - settings.lead_share) * max(scores):
         return "two motions explain it"
+    good = best.good.copy()
     good[good] = cosines < math.cos(settings.kept_parallax_rad)
-    return TwoView(motion, points[good], inliers[good], planar)
+    return TwoView(best.motion, best.points[good], inliers[good], planar)
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A motion, the matches triangulated by it, which of them are believable, and how far off its epipolar lines."""
+
+    motion: np.ndarray
+    points: np.ndarray
+    good: np.ndarray
+    residual: np.ndarray
+
+
+def _try(
+    motion: np.ndarray,
+    one: np.ndarray,
+    two: np.ndarray,
+    intrinsics: np.ndarray,
+    sigma: tuple[np.ndarray, np.ndarray],
+) -> _Try:
+    points = triangulate(np.eye(4), motion, one, two, intrinsics)
+    good = believable(points, (np.eye(4), motion), (one, two), sigma, intrinsics, least_parallax_rad=1e-4)
+    fx, fy, cx, cy = intrinsics
+    fundamental = fundamental_matrix(motion, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    there = _line_distance2(fundamental, one, two) / sigma[1] ** 2
+    back = _line_distance2(fundamental.T, two, one) / sigma[0] ** 2
+    return _Try(motion, points, good, np.sqrt((there + back) / 2))
+
+
+def _scores(tried: list[_Try], count: int) -> list[float]:
+    """Of each motion. Wrong ones may explain all matches within the usual bound, but not as exactly as the right one:
+    what counts as exact is taken from the most exact motion (its median, as a standard deviation)."""
+    exact = [float(np.median(one.residual[one.good])) for one in tried if one.good.sum() > 0.7 * count]
+    sigma = max(1.4826 * min(exact), FINEST_PX)
+    return [
+        float(np.sum(np.maximum(0.0, 1.0 - (one.residual[one.good] / (EXACT_SIGMAS * sigma)) ** 2))) for one in tried
+    ]
 
 
 def _same(one: np.ndarray, two: np.ndarray, settings: TwoViewSettings) -> bool:
