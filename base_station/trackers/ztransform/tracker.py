@@ -51,8 +51,13 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.78
+    firm: float = 0.85
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
+    firm_aspects: tuple[float, float] = (0.8, 1.15)
+    """Width against height, both against the learned ones, of a target that is seen firm before it is proven. Turning
+    makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
+    hold_sharpness: float = 4.5
+    """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
@@ -61,6 +66,8 @@ class ZTransformSettings:
     """While a proven target is seen firm, the loose follower learns from every so many frames only."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
+    hold_share: float = 0.8
+    """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
     """Following what keeps its shape."""
     loose: LooseSettings = field(default_factory=LooseSettings)
@@ -147,14 +154,12 @@ class ZTransformTracker:
     def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
         assert self._learned is not None
-        settings, followed, kept = self._settings, None, False
+        settings, followed = self._settings, None
         self._frames += 1
         near = self._is_tracking or self._motion.age_s(time_s) < settings.linger_s
         if near and not (self._is_loose and self._frames % settings.rigid_every):
             followed = self._follow(pyramid, time_s, lens)
-            kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
-            usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
-            if kept and usual and (self._learned.is_place or followed.confidence >= settings.firm):
+            if self._is_firm(followed) and (not self._is_loose or self._is_agreed(pyramid, followed)):
                 self._seen_firm(pyramid, followed, time_s)
                 return followed, True
         if self._is_loose:
@@ -164,7 +169,8 @@ class ZTransformTracker:
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
         found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
-        if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
+        least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
+        if found.confidence >= least and self._is_agreed(pyramid, found):
             self._seen_firm(pyramid, found, time_s)
             return found, True
         if not (self._learned.is_place or self._is_loose) and (near or not self._is_proven):
@@ -172,12 +178,39 @@ class ZTransformTracker:
             if loose is not None:
                 return loose, True
         if followed:
-            return followed, kept
+            return followed, self._is_kept(followed)
         return found, False
 
     @property
     def _is_proven(self) -> bool:
         return self._frames_firm >= self._settings.proven_frames
+
+    def _is_kept(self, look: Look) -> bool:
+        """Tracking goes on with this look for want of a better one."""
+        settings, learned = self._settings, self._learned
+        assert learned is not None
+        least = max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
+        if not (learned.is_place or self._is_proven):
+            least = max(least, settings.regain_confidence)
+        return look.confidence >= least
+
+    def _is_firm(self, look: Look) -> bool:
+        """The signature alone is enough."""
+        settings, learned = self._settings, self._learned
+        assert learned is not None
+        if learned.is_place:
+            usual = self._usual_confidence - 2 * settings.surprise
+            return look.confidence >= usual and self._is_kept(look)
+        aspect = look.placement[WIDTH] / look.placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
+        low, high = settings.firm_aspects
+        return look.confidence >= settings.firm and (self._is_proven or low <= aspect <= high)
+
+    def _is_agreed(self, pyramid: Pyramid, look: Look) -> bool:
+        """The loose follower sees the target there too: the two err differently."""
+        assert self._learned is not None
+        if self._learned.is_place:
+            return True
+        return self._loose.resembles(pyramid, look.placement)
 
     def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> Look:
         """The signature, from where the target should be now."""
@@ -206,10 +239,13 @@ class ZTransformTracker:
             start[X] += dx * side
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
-        if sighting.sharpness < settings.loose.least_sharpness:
-            return None
+        clear = sighting.sharpness >= settings.loose.least_sharpness
+        if not clear:
+            held = self._is_loose and self._is_tracking and sighting.sharpness >= settings.hold_sharpness
+            if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
+                return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
-        placement = sighting.placement if proven else self._loose.adapt(pyramid)
+        placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
         self._is_loose = not proven
         confidence = sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness)
         return Look(placement, confidence, 1.0, tells_angle=False)
@@ -299,3 +335,10 @@ class ZTransformTracker:
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
     return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(confidence, 0.0), 1.0))
+
+
+def _share_inside(placement: np.ndarray, shape: tuple[int, ...]) -> float:
+    """Of an upright target that lies in a frame of this shape."""
+    box = Box.around(*(float(v) for v in placement[[X, Y, WIDTH, HEIGHT]]))
+    inside = box.clipped(shape[1], shape[0])
+    return inside.width * inside.height / (box.width * box.height) if inside else 0.0
