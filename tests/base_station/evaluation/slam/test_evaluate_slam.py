@@ -60,7 +60,7 @@ def test_the_figures_of_a_perfect_run(tmp_path, capsys, write):
     assert found["ate_poses"] == found["trajectory_poses"] == FRAMES - 3
     assert found["keyframes_per_s"] == pytest.approx(found["keyframes"] / ((FRAMES - 1) / 20), rel=1e-6)
     assert found["loops"] == 2 and found["stages_ms"]["tracking"] == {"p50": 2.0, "p95": 2.9, "max": 3.0, "runs": 3}
-    assert 0 < found["ms_p50"] <= found["ms_p95"] <= found["ms_max"] < 50
+    assert 0 < found["ms_p50"] <= found["ms_p95"] <= found["ms_max"] < 2000
     assert found["machine"]["cores"] >= 1
     assert "87.5%" in capsys.readouterr().out
 
