@@ -82,7 +82,8 @@ def evaluate_slam(command: EvaluateSlam) -> None:
 def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
     """A new system, shown the sequence in one thread of OpenCV's, and closed whatever happens. Raises StationError."""
     threads = cv2.getNumThreads()
-    slam = make_slam(command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed)
+    with Console(stderr=True).status("getting ready (the first time its kernels are compiled)"):
+        slam = make_slam(command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed)
     try:
         cv2.setNumThreads(1)
         with threadpool_limits(1), _progress(len(sequence)) as progress:
