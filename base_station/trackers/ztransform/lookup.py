@@ -54,7 +54,12 @@ from base_station.trackers.ztransform.windows import (
 from base_station.types import Box, Frame
 
 SMALL = SignatureSettings(
-    cells=24, bands=2, anchors=3, spread=0.6, poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2)
+    cells=24,
+    bands=2,
+    anchors=3,
+    spread=0.6,
+    poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2),
+    is_compact=False,  # landmark files hold maps of these numbers
 )
 SMALL_SIZE = SignatureReader(SMALL).size
 SMALL_REGRESSION = RegressionSettings(

@@ -118,7 +118,7 @@ def read_signature(
     cells = len(patch)
     depth = cells // bands
     cuts = [slice(b * depth, (b + 1) * depth if b < bands - 1 else cells) for b in range(bands)]
-    profiles = np.stack([patch[c].sum(0) / depth for c in cuts] + [patch[:, c].sum(1) / depth for c in cuts])
+    profiles = np.stack([patch[c].mean(0) for c in cuts] + [patch[:, c].mean(1) for c in cuts])
     d = np.zeros_like(profiles)
     d[:, 1:-1] = (profiles[:, 2:] - profiles[:, :-2]) / 2
     d *= taper

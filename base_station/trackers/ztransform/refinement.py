@@ -27,10 +27,10 @@ LARGEST_KEYSTONE = 0.5
 ENOUGH_SEEN = 0.15
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def refine(
     image, scale, samples, lens, placement, learned_patch, learned, maps, levels, gains, tolerance,
-    patch, seen, signature, bands, pole_re, pole_im, weights, anchors, taper,
+    patch, seen, signature, bands, windows,
 ):  # fmt: skip
     """Improve `placement` in place; returns confidence -1..1, the share of the target in the frame, contrast.
 
@@ -50,11 +50,9 @@ def refine(
             gain, offset = match_light(patch, seen, learned_patch)
             last = turn == len(levels)
             if last:
-                confidence = seen_correlation(
-                    patch, seen, learned_patch, bands, pole_re, pole_im, weights, anchors, taper
-                )
+                confidence = seen_correlation(patch, seen, learned_patch, bands, windows)
             fill_unseen(patch, seen, learned_patch, gain, offset)
-        contrast = read_signature(patch, bands, pole_re, pole_im, weights, anchors, taper, signature)
+        contrast = read_signature(patch, bands, windows, signature)
         if share >= 1.0:
             confidence = inner(signature, learned)
         if turn == len(levels):

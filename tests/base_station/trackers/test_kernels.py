@@ -94,17 +94,34 @@ def test_sample_patch_is_its_definition(x, y, width, height, keystone, curved, s
     assert share == pytest.approx(plain_seen.mean(), abs=0.02)  # float32 rounds cells that lie on the very border
 
 
-def test_signature_is_its_definition():
-    for bands, cells in ((4, 48), (3, 32), (2, 21)):
-        options = SignatureSettings(cells=cells, bands=bands, anchors=5)
-        reader = SignatureReader(options)
-        patch = np.random.default_rng(cells).uniform(0, 255, (cells, cells)).astype(np.float32)
-        fast, length = reader.signature(patch)
-        _, _, _, weights, anchors, taper = reader.plan
-        plain = reference.read_signature(patch, bands, spiral_poles(options.poles), weights, anchors, taper)
-        np.testing.assert_allclose(fast[::2] + 1j * fast[1::2], plain.ravel(), atol=2e-5)
-        assert np.linalg.norm(fast) == pytest.approx(1, abs=1e-5)
-        assert length > 0
+@pytest.mark.parametrize(("bands", "cells"), [(4, 48), (3, 32), (2, 21)])
+def test_signature_is_its_definition(bands, cells):
+    options = SignatureSettings(cells=cells, bands=bands, anchors=5, is_compact=False)
+    patch = np.random.default_rng(cells).uniform(0, 255, (cells, cells)).astype(np.float32)
+    fast, length = SignatureReader(options).signature(patch)
+    np.testing.assert_allclose(fast[::2] + 1j * fast[1::2], plain_signature(options, patch).ravel(), atol=2e-5)
+    assert np.linalg.norm(fast) == pytest.approx(1, abs=1e-5)
+    assert length > 0
+
+
+def test_a_compact_signature_has_the_inner_products_of_the_whole():
+    options, rng = SignatureSettings(), np.random.default_rng(0)
+    first, second = (rng.uniform(0, 255, (48, 48)).astype(np.float32) for _ in range(2))
+    reader = SignatureReader(options)
+    one, other = reader.signature(first)[0], reader.signature((first + second) / 2)[0]
+    plain = np.vdot(plain_signature(options, first), plain_signature(options, (first + second) / 2)).real
+    assert len(one) == 2 * options.bands * options.cells
+    assert one @ other == pytest.approx(plain, abs=1e-5)
+    assert one @ other < 0.95
+
+
+def plain_signature(options, patch):
+    cells, reach = options.cells, options.spread / 2
+    anchors = np.round(np.linspace(cells * (0.5 - reach), cells * (0.5 + reach), options.anchors)).astype(int)
+    u = (np.arange(cells) + 0.5) / cells
+    taper = np.minimum(1, np.minimum(u, 1 - u) / options.taper)
+    bank = options.poles
+    return reference.read_signature(patch, options.bands, spiral_poles(bank), scale_weights(bank), anchors, taper)
 
 
 def test_signature_does_not_see_gain_and_offset():
