@@ -9,7 +9,7 @@ import numpy as np
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import refine
+from base_station.trackers.ztransform.refinement import MORE_TO_READ, refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -64,9 +64,6 @@ class RigidFollower:
         self._settings = settings
         self._reader = SignatureReader(settings.signature)
         self._acquisition = Acquisition(settings.acquisition)
-        cells = self._reader.cells
-        self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
-        self._signature = np.empty(self._reader.size, np.float32)
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, float]:
         """The patch at a placement, float32 (cells, cells), and the share of it that lies in the frame."""
@@ -105,11 +102,14 @@ class RigidFollower:
 
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
         placement = start.copy()
-        confidence, share, _ = refine(
-            *self._reader.source(pyramid, start), lens, placement, self._learned_patch, self._learned_signature,
-            self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
-            self._patch, self._seen, self._signature, *self._reader.plan,
-        )  # fmt: skip
+        for whole in (False, True):
+            confidence, share = refine(
+                *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, self._learned_patch,
+                self._learned_signature, self._maps, levels, _FREE_PLACE if self._is_place else _FREE,
+                self._settings.tolerance, *self._reader.plan,
+            )  # fmt: skip
+            if share != MORE_TO_READ:
+                break
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
         return Look(

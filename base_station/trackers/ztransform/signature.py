@@ -15,16 +15,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.kernels import (
-    HEIGHT,
-    WIDTH,
-    fill_unseen,
-    match_light,
-    read_signature,
-    sample_patch,
-)
+from base_station.trackers.ztransform.boxes import sample_boxes
+from base_station.trackers.ztransform.kernels import read_signature
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
+from base_station.trackers.ztransform.refinement import read_filled
+
+MARGIN = 0.14
+"""Of a target's width and height: how far a refinement usually goes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,15 +57,26 @@ class SignatureReader:
         self.plan = settings.bands, np.ascontiguousarray(windows.T, np.float32)
         """bands, windows: float32 (cells, numbers)."""
 
-    def source(self, pyramid: Pyramid, placement: np.ndarray) -> tuple[np.ndarray, int, int]:
-        """Which image to read for this placement, its scale, reads per cell and axis."""
-        return pyramid.for_cell(max(placement[WIDTH], placement[HEIGHT]) / self.cells)
+    def source(
+        self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, whole: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Running sums to read this placement from, and where they are, see `boxes`; of the whole frame, or at least of
+        the placement and a margin."""
+        x, y, width, height, keystone = placement.tolist()
+        cell_px = max(width, height) / self.cells
+        if whole or lens[0] > 0:
+            return pyramid.sums(cell_px)
+        horizon = float(lens[3])
+        grow = 1 / (1 - min(0.5 * abs(keystone), 0.5))
+        reach_x, reach_y = (0.5 * grow + MARGIN) * width, (0.5 + MARGIN) * height
+        top = horizon + (y - reach_y - horizon) * (grow if y - reach_y < horizon else 1.0)
+        bottom = horizon + (y + reach_y - horizon) * (grow if y + reach_y > horizon else 1.0)
+        return pyramid.sums(cell_px, (x - reach_x, top, x + reach_x, bottom))
 
     def patch(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Patch float32 (cells, cells), which cells the frame shows (uint8), and their share 0..1."""
         patch, seen = np.empty((self.cells,) * 2, np.float32), np.empty((self.cells,) * 2, np.uint8)
-        image, scale, reads = self.source(pyramid, placement)
-        share = sample_patch(image, scale, placement, lens, reads, patch, seen)
+        share = sample_boxes(*self.source(pyramid, placement, lens, whole=True), lens, placement, patch, seen)
         return patch, seen, share
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
@@ -78,11 +87,9 @@ class SignatureReader:
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, learned: np.ndarray) -> np.ndarray:
         """Signature at a placement; cells outside of the frame are taken from the learned patch."""
-        patch, seen, share = self.patch(pyramid, placement, lens)
-        if share < 1:
-            gain, offset = match_light(patch, seen, learned)
-            fill_unseen(patch, seen, learned, gain, offset)
-        return self.signature(patch)[0]
+        out, source = np.empty(self.size, np.float32), self.source(pyramid, placement, lens, whole=True)
+        read_filled(*source, lens, placement, learned, *self.plan, out)
+        return out
 
 
 def _windows(settings: SignatureSettings) -> np.ndarray:
