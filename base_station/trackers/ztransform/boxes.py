@@ -28,7 +28,7 @@ IN_FRAME, LEAVES_TABLE, LEAVES_FRAME = 2, 1, 0
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def column_at(u, where, lens, placement):
-    """Of patch coordinate u: x from the frame's left edge in the table's pixels, shrinking of heights, visible or not."""
+    """Of patch coordinate u: x from the left edge in the table's pixels, shrinking of heights, visible or not."""
     shrink = 1.0 / (1.0 + placement[KEYSTONE] * u)
     x = placement[X] + placement[WIDTH] * u * shrink
     visible = True
