@@ -60,6 +60,11 @@ class Pyramid:
         self._sums[scale] = self._whole[scale] = known = table, np.array((scale, 0, 0, columns, rows), np.float64)
         return known
 
+    def coarser(self, where: np.ndarray) -> float:
+        """Cells of this many px and more are read from coarser sums than those that are here."""
+        scale = float(where[0])
+        return PIXELS_PER_CELL * 2 * scale if self._scale_for(math.inf) > scale else math.inf
+
     def _part(self, scale: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         """A part of the frame at 1 / scale of its size, without making the rest of it."""
         if scale in self._sizes:

@@ -76,7 +76,7 @@ class RigidFollower:
         self._learned_patch, _ = self.read(pyramid, placement, lens)
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
-        self._acquisition.learn(pyramid.image, placement, lens)
+        self._acquisition.learn(pyramid, placement, lens)
 
     def follow(
         self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
@@ -94,7 +94,7 @@ class RigidFollower:
         best = Look(last, 0.0, 0.0)
         turn = frames_lost % (len(ROW_SHIFTS) + 1)
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
-        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
+        for candidate in self._acquisition.find(pyramid, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
             if best.confidence > self._settings.beyond_doubt:
                 break
