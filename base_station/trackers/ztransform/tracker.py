@@ -165,7 +165,8 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
-        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
+        just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
+        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
             self._seen_firm(pyramid, found, time_s)
             return found, True
