@@ -9,7 +9,7 @@ import numpy as np
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, Y
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import refine
+from base_station.trackers.ztransform.refinement import MORE_TO_READ, refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -25,6 +25,8 @@ class RigidSettings:
     """A resemblance at which a search needs not look at further candidates."""
     place_zooms: tuple[float, float] = (0.8, 1.25)
     """A learned place is searched for in this range only."""
+    sudden_zoom: float = 1.5
+    """From one frame to the next a target does not get larger or smaller than by this factor."""
     tolerance: float = 0.001
     """In target widths: refining ends when a step is smaller."""
     signature: SignatureSettings = field(default_factory=SignatureSettings)
@@ -64,9 +66,6 @@ class RigidFollower:
         self._settings = settings
         self._reader = SignatureReader(settings.signature)
         self._acquisition = Acquisition(settings.acquisition)
-        cells = self._reader.cells
-        self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
-        self._signature = np.empty(self._reader.size, np.float32)
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, float]:
         """The patch at a placement, float32 (cells, cells), and the share of it that lies in the frame."""
@@ -79,7 +78,7 @@ class RigidFollower:
         self._learned_patch, _ = self.read(pyramid, placement, lens)
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
-        self._acquisition.learn(pyramid.image, placement, lens)
+        self._acquisition.learn(pyramid, placement, lens)
 
     def follow(
         self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
@@ -92,13 +91,23 @@ class RigidFollower:
                 best = _better(best, self._refine(pyramid, start, lens, _WIDER))
         return best
 
-    def search(self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int) -> Look:
-        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed."""
+    def search(
+        self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int, *, just_seen: bool = False
+    ) -> Look:
+        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed.
+
+        `just_seen`: at `last`, in the frame before this one.
+        """
         zooms = self._settings.place_zooms if self._is_place else None
+        if just_seen and not self._is_place:
+            settings, sudden = self._settings.acquisition, self._settings.sudden_zoom
+            zoom = float(last[HEIGHT] / self._learned_at[HEIGHT])
+            zoom = min(max(zoom, settings.smallest_zoom), settings.largest_zoom)
+            zooms = max(zoom / sudden, settings.smallest_zoom), min(zoom * sudden, settings.largest_zoom)
         best = Look(last, 0.0, 0.0)
         turn = frames_lost % (len(ROW_SHIFTS) + 1)
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
-        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
+        for candidate in self._acquisition.find(pyramid, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
             if best.confidence > self._settings.beyond_doubt:
                 break
@@ -109,11 +118,14 @@ class RigidFollower:
         if pyramid.first_row:
             placement[Y] -= pyramid.first_row
             lens = lens - (0, 0, 0, pyramid.first_row)
-        confidence, share, _ = refine(
-            *self._reader.source(pyramid, start), lens, placement, self._learned_patch, self._learned_signature,
-            self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
-            self._patch, self._seen, self._signature, *self._reader.plan,
-        )  # fmt: skip
+        for whole in (False, True):
+            confidence, share = refine(
+                *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, self._learned_patch,
+                self._learned_signature, self._maps, levels, _FREE_PLACE if self._is_place else _FREE,
+                self._settings.tolerance, *self._reader.plan,
+            )  # fmt: skip
+            if share != MORE_TO_READ:
+                break
         placement[Y] += pyramid.first_row
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects

@@ -63,8 +63,10 @@ class ZTransformSettings:
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
     """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
-    loose_every: int = 4
-    """While a proven target is seen firm, the loose follower learns from every so many frames only."""
+    loose_every: int = 30
+    """While a proven target is seen firm, the loose follower learns from every so many frames only..."""
+    loose_times: int = 7
+    """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
     hold_share: float = 0.8
@@ -193,7 +195,8 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
-        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
+        just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
+        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
         if found.confidence >= least and self._is_agreed(pyramid, found):
             self._seen_firm(pyramid, found, time_s)
@@ -250,14 +253,15 @@ class ZTransformTracker:
     def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float, *, is_whole: bool = True) -> None:
         """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
+        settings = self._settings
         self._is_loose, self._firm_s = False, time_s
-        if look.confidence < self._settings.firm or self._learned.is_place:
+        if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if not is_whole or look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+        if not is_whole or look.share < 1 or (self._is_proven and self._frames % settings.loose_every):
             return
-        if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
-            self._loose.adapt(pyramid)
+        if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
+            self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
 
     def _follow_loose(self, pyramid: Pyramid, time_s: float) -> Look | None:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
@@ -281,11 +285,11 @@ class ZTransformTracker:
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
-        p, settings = look.placement, self._settings
+        (_, _, width, height, _), settings = look.placement.tolist(), self._settings
         return bool(
             look.share >= settings.least_share
-            and min(p[WIDTH], p[HEIGHT]) >= settings.smallest_side_px
-            and p[WIDTH] <= settings.largest_share * shape[1]
+            and min(width, height) >= settings.smallest_side_px
+            and width <= settings.largest_share * shape[1]
         )
 
     def _tracked(self, frame: Frame, look: Look, lens: np.ndarray) -> TrackerResult:
@@ -299,8 +303,8 @@ class ZTransformTracker:
             self._motion.start(p, frame.time_s)
             self._usual_confidence = look.confidence
         self._is_tracking, self._frames_lost = True, 0
-        x, y = to_pixel(p[X], p[Y], lens)
-        x0, y0 = to_pixel(learned.placement[X], learned.placement[Y], lens)
+        x, y = to_pixel(float(p[X]), float(p[Y]), lens)
+        x0, y0 = to_pixel(float(learned.placement[X]), float(learned.placement[Y]), lens)
         return TrackerResult(
             state=TrackingState.TRACKING,
             shift_px=x - x0,
