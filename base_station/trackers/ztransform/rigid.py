@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
+from base_station.trackers.ztransform.alignment import Aligner, Alignment, AlignmentSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH
+from base_station.trackers.ztransform.pieces import Pieces, PieceSettings
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import refine
+from base_station.trackers.ztransform.refinement import ENOUGH_SEEN, refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -31,6 +33,10 @@ class RigidSettings:
     """How a patch is read."""
     regression: RegressionSettings = field(default_factory=RegressionSettings)
     """How its changes are learned."""
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    """How it is compared, cell by cell."""
+    pieces: PieceSettings = field(default_factory=PieceSettings)
+    """How it is looked for when a part of it is covered."""
     acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
     """How it is searched for."""
 
@@ -64,6 +70,8 @@ class RigidFollower:
         self._settings = settings
         self._reader = SignatureReader(settings.signature)
         self._acquisition = Acquisition(settings.acquisition)
+        self._aligner = Aligner(settings.alignment, self._reader)
+        self._pieces = Pieces(settings.pieces, self._reader)
         cells = self._reader.cells
         self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
         self._signature = np.empty(self._reader.size, np.float32)
@@ -80,6 +88,9 @@ class RigidFollower:
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
         self._acquisition.learn(pyramid.image, placement, lens)
+        if not is_place:
+            self._aligner.learn(pyramid, placement, lens)
+            self._pieces.learn(pyramid, placement, lens)
 
     def follow(
         self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
@@ -89,6 +100,8 @@ class RigidFollower:
         for start in (predicted, last):
             if best.confidence < enough:
                 best = _better(best, self._refine(pyramid, start, lens, _WIDER))
+        if best.confidence < enough and not self._is_place:
+            best = _better(best, self._approach(pyramid, predicted, lens))
         return best
 
     def search(self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int) -> Look:
@@ -99,9 +112,17 @@ class RigidFollower:
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
         for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
+            if best.confidence < self._settings.beyond_doubt and not self._is_place:
+                best = _better(best, self._approach(pyramid, candidate.placement, lens))
             if best.confidence > self._settings.beyond_doubt:
-                break
+                return best
+        if not self._is_place:
+            best = _better(best, self._approach(pyramid, self._pieces.find(pyramid, last, lens), lens))
         return best
+
+    def _approach(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray) -> Look:
+        """Without the signature, for it knows no covered parts."""
+        return self._judged(self._aligner.approach(pyramid, start, lens))
 
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
         placement = start.copy()
@@ -110,10 +131,19 @@ class RigidFollower:
             self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
             self._patch, self._seen, self._signature, *self._reader.plan,
         )  # fmt: skip
+        if self._is_place:
+            return self._judged(Alignment(placement, float(confidence), float(share)))
+        if share < ENOUGH_SEEN:
+            return Look(placement, 0.0, float(share))
+        return self._judged(self._aligner.settle(pyramid, placement, lens))
+
+    def _judged(self, found: Alignment) -> Look:
+        """What got much flatter or wider than it was learned is not believed."""
+        placement = found.placement
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
         return Look(
-            placement, float(confidence) if low <= aspect <= high else 0.0, float(share), tells_angle=not self._is_place
+            placement, found.confidence if low <= aspect <= high else 0.0, found.share, tells_angle=not self._is_place
         )
 
 

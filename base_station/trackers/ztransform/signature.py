@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from base_station.trackers.ztransform.area import mean_cells
 from base_station.trackers.ztransform.kernels import (
     HEIGHT,
     WIDTH,
@@ -72,6 +73,15 @@ class SignatureReader:
         patch, seen = np.empty((self.cells,) * 2, np.float32), np.empty((self.cells,) * 2, np.uint8)
         image, scale, reads = self.source(pyramid, placement)
         share = sample_patch(image, scale, placement, lens, reads, patch, seen)
+        return patch, seen, share
+
+    def means(
+        self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, cells: int
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """As `patch`, of any number of cells a side, each the mean of all of its pixels."""
+        patch, seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
+        image, scale, _ = pyramid.for_cell(max(placement[WIDTH], placement[HEIGHT]) / cells)
+        share = mean_cells(image, scale, placement, lens, patch, seen)
         return patch, seen, share
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
