@@ -68,11 +68,13 @@ class _Level:
 
 @dataclass(frozen=True)
 class Alignment:
-    """`confidence` -1..1, of the better half. `share`: of the target that is seen, neither covered nor out of view."""
+    """`confidence` 0..1. `share`: of the target that lies in the frame; `alike`: of that, what looks as it was learned,
+    by its contrast."""
 
     placement: np.ndarray
     confidence: float
     share: float
+    alike: float
 
 
 class Aligner:
@@ -99,18 +101,18 @@ class Aligner:
         """From a few tenths of a cell away to where it is exactly."""
         settings, placement = self._settings, placement.copy()
         for turn in range(settings.steps + 1):
-            patch, seen, _ = self._means(pyramid, placement, lens)
+            patch, seen, share = self._means(pyramid, placement, lens)
             cut, compared = self._compare(self._fine, patch, seen)
             if turn == settings.steps:
                 break
             length = self._step(self._fine, placement, cut, compared)
             if length < settings.repeat_px:
                 break
-        confidence, share = resemblance(
+        confidence, alike = resemblance(
             patch, compared, self._fine.energies, self._slopes, self._slope_energies, settings.judged_part,
             settings.alike,
         )  # fmt: skip
-        return Alignment(placement, float(confidence), float(share))
+        return Alignment(placement, float(confidence), float(share), float(alike))
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
         """From a cell or two away: some steps on the smoothed patch, then as `settle`."""

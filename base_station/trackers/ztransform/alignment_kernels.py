@@ -81,7 +81,9 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
     if n == 0:
         return False
     usual = np.median(shown_misfits[:n]) + ROUNDING
-    whole_gain = max(np.median(shown_gains[:firm]), LEAST_GAIN) if firm > 0 else LEAST_GAIN
+    whole_gain = LEAST_GAIN
+    if firm > 0:
+        whole_gain = max(float(np.median(shown_gains[:firm])), LEAST_GAIN)
     trust = 0.2 * strong + 1e-3
     for b in range(blocks):
         gain = (compared[b, 0] + trust * whole_gain) / (energies[b] + trust)
@@ -169,10 +171,11 @@ def best_part(likeness, weights, part):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def resemblance(patch, compared, energies, learned_slopes, slope_energies, part, alike):
-    """How much the best `part` of a patch is like the learned one, -1..1, and the share of it that is: 0..1.
+    """How much a patch is like the learned one, and the share of it that is; both 0..1.
 
-    The product of two: of the blocks' correlations, and of those of their slopes' directions. The second knows finer
-    detail, faint as well as strong; a mirror image has only the first.
+    The product of three: the blocks' correlations and those of their slopes' directions, each over the best `part` of
+    the blocks, and, at half weight, the latter over all blocks. Directions know finer detail, faint as well as strong:
+    a mirror image has but the first.
     """
     blocks = len(compared)
     side = round(math.sqrt(blocks))
@@ -196,4 +199,5 @@ def resemblance(patch, compared, energies, learned_slopes, slope_energies, part,
     if total <= 0:
         return 0.0, 0.0
     light_part, fine_part = best_part(light, light_weights, part), best_part(fine, fine_weights, part)
-    return max(light_part, 0.0) * max(fine_part, 0.0), agreed / total
+    whole = max(best_part(fine, fine_weights, 1.0), 0.0)
+    return max(light_part, 0.0) * max(fine_part, 0.0) * (0.5 + 0.5 * whole), agreed / total

@@ -54,7 +54,12 @@ from base_station.trackers.ztransform.windows import (
 from base_station.types import Box, Frame
 
 SMALL = SignatureSettings(
-    cells=24, bands=2, anchors=3, spread=0.6, poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2)
+    cells=24,
+    bands=2,
+    anchors=3,
+    spread=0.6,
+    poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2),
+    is_compact=False,  # landmark files hold maps of these numbers
 )
 SMALL_SIZE = SignatureReader(SMALL).size
 SMALL_REGRESSION = RegressionSettings(
@@ -358,17 +363,16 @@ class LandmarkMemory:
         inside = landmark.picture[_BOX, _BOX]
         patch = cv2.resize(inside, (SMALL.cells, SMALL.cells), interpolation=cv2.INTER_AREA).astype(np.float32)
         signature, placement = self._small.signature(patch)[0], start.copy()
-        cells, step_map = self._small.cells, landmark.step_map.astype(np.float32)[None]
-        scratch = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8), np.empty_like(signature)
-        confidence, share, source = 0.0, 0.0, self._small.source(pyramid, placement)
+        step_map = landmark.step_map.astype(np.float32)[None]
+        confidence, share, source = 0.0, 0.0, self._small.source(pyramid, placement, lens, whole=True)
         for least, turns in (
             (settings.worth_a_step, _ONE_STEP),
             (settings.worth_a_look, _TWO_STEPS),
             (settings.worth_a_look, _MORE_STEPS),
         ):
-            confidence, share, _ = refine(
+            confidence, share = refine(
                 *source, lens, placement, patch, signature, step_map, turns,
-                _FREE_PLACE if is_place else _FREE, 0.002, *scratch, *self._small.plan,
+                _FREE_PLACE if is_place else _FREE, 0.002, *self._small.plan,
             )  # fmt: skip
             if confidence < least or share < settings.least_share:
                 return None

@@ -111,6 +111,60 @@ def sample_patch(
     return patch, seen
 
 
+def sample_boxes(
+    image: np.ndarray, scale: int, placement: np.ndarray, lens: np.ndarray, cells: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `sample_patch`, but every cell is the mean of the box of pixels that it covers, as tall as in its middle."""
+    edges, (x, middle, shrink) = np.arange(cells + 1) / cells - 0.5, _columns(cells, scale, placement, lens)
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * edges[:, None]) * shrink + 0.5) / scale
+    patch = np.stack([_box_means(image, x[i : i + 2], y[:, i])[:, 0] for i in range(cells)], 1)
+    rows = (y[1:] + y[:-1]) / 2
+    return patch, (middle >= 0) & (middle <= image.shape[1]) & (rows >= 0) & (rows <= image.shape[0])
+
+
+def box_profiles(
+    image: np.ndarray, scale: int, placement: np.ndarray, lens: np.ndarray, cells: int, bands: int, strips: int
+) -> np.ndarray:
+    """Row bands and column bands, (2 * bands, cells), of a placement inside of the frame: the means of their boxes.
+
+    `strips`: boxes side by side in each cell of a column band.
+    """
+    rows = np.append(np.arange(bands) * (cells // bands) / cells, 1) - 0.5
+    x, _, shrink = _columns(cells, scale, placement, lens)
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * rows[:, None]) * shrink + 0.5) / scale
+    across = np.concatenate([_box_means(image, x[i : i + 2], y[:, i]) for i in range(cells)], 1)
+    x, _, shrink = _columns(bands * strips, scale, placement, lens)
+    edges = np.arange(cells + 1) / cells - 0.5
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * edges[:, None]) * shrink + 0.5) / scale
+    down = np.concatenate([_box_means(image, x[i : i + 2], y[:, i]) for i in range(bands * strips)], 1)
+    return np.concatenate([across, down.reshape(cells, bands, strips).mean(2).T])
+
+
+def _columns(count: int, scale: int, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, ...]:
+    """So many columns of a placement: their edges, their middles, and the shrinking of heights in their middles."""
+    out = []
+    for u in (np.arange(count + 1) / count - 0.5, (np.arange(count) + 0.5) / count - 0.5):
+        shrink = 1 / (1 + placement[4] * u)
+        x = placement[0] + placement[2] * u * shrink
+        if lens[0] > 0:
+            azimuth = (x - lens[2]) / lens[1]
+            x, shrink = lens[2] + lens[1] * np.tan(azimuth), shrink / np.cos(azimuth)
+        out.append((x + 0.5) / scale)
+    return out[0], out[1], shrink
+
+
+def _box_means(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Means between edges that may lie within pixels; pixel n lies between n and n + 1. Less than 0.02 px is none."""
+    weights = []
+    for edges, size in ((y, image.shape[0]), (x, image.shape[1])):
+        first = np.clip(edges[:-1], 0, size - 0.04)[:, None]
+        last = np.clip(edges[1:, None], first + 0.02, size - 0.02)
+        pixels = np.arange(size)
+        covered = np.clip(np.minimum(pixels + 1, last) - np.maximum(pixels, first), 0, 1)
+        weights.append(covered / covered.sum(1, keepdims=True))
+    return weights[0] @ image.astype(float) @ weights[1].T
+
+
 def read_signature(
     patch: np.ndarray, bands: int, poles: np.ndarray, weights: np.ndarray, anchors: np.ndarray, taper: np.ndarray
 ) -> np.ndarray:
@@ -118,7 +172,7 @@ def read_signature(
     cells = len(patch)
     depth = cells // bands
     cuts = [slice(b * depth, (b + 1) * depth if b < bands - 1 else cells) for b in range(bands)]
-    profiles = np.stack([patch[c].sum(0) / depth for c in cuts] + [patch[:, c].sum(1) / depth for c in cuts])
+    profiles = np.stack([patch[c].mean(0) for c in cuts] + [patch[:, c].mean(1) for c in cuts])
     d = np.zeros_like(profiles)
     d[:, 1:-1] = (profiles[:, 2:] - profiles[:, :-2]) / 2
     d *= taper

@@ -11,7 +11,7 @@ from base_station.trackers.ztransform.alignment import Aligner, Alignment, Align
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH
 from base_station.trackers.ztransform.pieces import Pieces, PieceSettings
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import ENOUGH_SEEN, refine
+from base_station.trackers.ztransform.refinement import ENOUGH_SEEN, MORE_TO_READ, refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -47,11 +47,12 @@ ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
 
 @dataclass(frozen=True)
 class Look:
-    """What looking gave. `share`: of the target that lies in the frame."""
+    """What looking gave. `share`: of the target that lies in the frame; `alike`: of that, what is not covered."""
 
     placement: np.ndarray
     confidence: float
     share: float
+    alike: float = 1.0
     tells_angle: bool = False
     """Width, height and keystone of the placement were measured each for itself."""
 
@@ -72,9 +73,6 @@ class RigidFollower:
         self._acquisition = Acquisition(settings.acquisition)
         self._aligner = Aligner(settings.alignment, self._reader)
         self._pieces = Pieces(settings.pieces, self._reader)
-        cells = self._reader.cells
-        self._patch, self._seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
-        self._signature = np.empty(self._reader.size, np.float32)
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, float]:
         """The patch at a placement, float32 (cells, cells), and the share of it that lies in the frame."""
@@ -126,15 +124,16 @@ class RigidFollower:
 
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
         placement = start.copy()
-        confidence, share, _ = refine(
-            *self._reader.source(pyramid, start), lens, placement, self._learned_patch, self._learned_signature,
-            self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
-            self._patch, self._seen, self._signature, *self._reader.plan,
-        )  # fmt: skip
-        if self._is_place:
-            return self._judged(Alignment(placement, float(confidence), float(share)))
-        if share < ENOUGH_SEEN:
-            return Look(placement, 0.0, float(share))
+        for whole in (False, True):
+            confidence, share = refine(
+                *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, self._learned_patch,
+                self._learned_signature, self._maps, levels, _FREE_PLACE if self._is_place else _FREE,
+                self._settings.tolerance, *self._reader.plan,
+            )  # fmt: skip
+            if share != MORE_TO_READ:
+                break
+        if self._is_place or share < ENOUGH_SEEN:
+            return self._judged(Alignment(placement, float(confidence), float(share), 1.0))
         return self._judged(self._aligner.settle(pyramid, placement, lens))
 
     def _judged(self, found: Alignment) -> Look:
@@ -142,9 +141,8 @@ class RigidFollower:
         placement = found.placement
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
-        return Look(
-            placement, found.confidence if low <= aspect <= high else 0.0, found.share, tells_angle=not self._is_place
-        )
+        confidence = found.confidence if low <= aspect <= high else 0.0
+        return Look(placement, confidence, found.share, alike=found.alike, tells_angle=not self._is_place)
 
 
 def _better(one: Look, other: Look) -> Look:

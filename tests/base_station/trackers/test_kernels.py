@@ -8,8 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from base_station.trackers.ztransform import reference
+from base_station.trackers.ztransform.boxes import (
+    IN_FRAME,
+    LEAVES_FRAME,
+    LEAVES_TABLE,
+    MOST_STRIPS,
+    SCALE,
+    lies,
+    read_profiles,
+    sample_boxes,
+    strips_needed,
+)
 from base_station.trackers.ztransform.kernels import fill_unseen, match_light, sample_patch
 from base_station.trackers.ztransform.poles import PoleSettings, decay_rates, scale_weights, spiral_poles
+from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.search_kernels import band_profile, read_field, score_positions, sum_rows
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -94,17 +106,83 @@ def test_sample_patch_is_its_definition(x, y, width, height, keystone, curved, s
     assert share == pytest.approx(plain_seen.mean(), abs=0.02)  # float32 rounds cells that lie on the very border
 
 
-def test_signature_is_its_definition():
-    for bands, cells in ((4, 48), (3, 32), (2, 21)):
-        options = SignatureSettings(cells=cells, bands=bands, anchors=5)
-        reader = SignatureReader(options)
-        patch = np.random.default_rng(cells).uniform(0, 255, (cells, cells)).astype(np.float32)
-        fast, length = reader.signature(patch)
-        _, _, _, weights, anchors, taper = reader.plan
-        plain = reference.read_signature(patch, bands, spiral_poles(options.poles), weights, anchors, taper)
-        np.testing.assert_allclose(fast[::2] + 1j * fast[1::2], plain.ravel(), atol=2e-5)
-        assert np.linalg.norm(fast) == pytest.approx(1, abs=1e-5)
-        assert length > 0
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(-20, 180),
+    y=st.floats(-20, 120),
+    width=st.floats(12, 200),
+    height=st.floats(12, 150),
+    keystone=st.floats(-0.4, 0.4),
+    curved=st.booleans(),
+    scale=st.sampled_from([1, 2, 4]),
+)
+def test_boxes_are_the_means_of_what_they_cover(x, y, width, height, keystone, curved, scale):
+    frame = np.random.default_rng(1).integers(0, 256, (100, 160), np.uint8)
+    placement, lens = np.array([x, y, width, height, keystone]), np.array([float(curved), 300.0, 79.5, 49.5])
+    pyramid, patch, seen = Pyramid(frame), np.empty((16, 16), np.float32), np.empty((16, 16), np.uint8)
+    table, where = pyramid.sums(1.5 * scale)
+    assert where[SCALE] == scale
+    share = sample_boxes(table, where, lens, placement, patch, seen)
+    plain, plain_seen = reference.sample_boxes(pyramid.at(scale), scale, placement, lens, 16)
+    np.testing.assert_allclose(patch[seen == 1], plain[seen == 1], atol=0.01)
+    np.testing.assert_array_equal(seen, plain_seen)
+    assert share == pytest.approx(plain_seen.mean())
+    if lies(table, where, lens, placement) == IN_FRAME:
+        profiles, strips = np.empty((8, 16), np.float32), strips_needed(4, 16, where, lens, placement)
+        read_profiles(table, where, lens, placement, profiles)
+        plain = reference.box_profiles(pyramid.at(scale), scale, placement, lens, 16, 4, strips)
+        np.testing.assert_allclose(profiles, plain, atol=0.01)
+        assert strips == MOST_STRIPS or strips >= 0.9 * 32 * abs(keystone) / 4 * (not curved)
+
+
+def test_running_sums_of_a_part_read_the_same():
+    frame = np.random.default_rng(1).integers(0, 256, (99, 161), np.uint8)
+    placement, lens = np.array([70.3, 50.2, 60.0, 40.0, 0.1]), np.array([0.0, 300.0, 79.5, 49.5])
+    for scale in (1, 2, 4):
+        read = []
+        for around in (None, (30.0, 22.0, 110.0, 78.0)):
+            table, where = Pyramid(frame).sums(1.5 * scale, around)
+            assert lies(table, where, lens, placement) == IN_FRAME
+            read.append(np.empty((4, 24), np.float32))
+            read_profiles(table, where, lens, placement, read[-1])
+        np.testing.assert_allclose(*read, atol=1e-3)
+    pyramid = Pyramid(frame)
+    table, where = pyramid.sums(1.0, (30.0, 22.0, 110.0, 78.0))
+    assert table.shape[1] < 100
+    assert lies(table, where, lens, placement + np.array([40, 0, 0, 0, 0])) == LEAVES_TABLE
+    assert lies(table, where, lens, placement + np.array([70, 0, 0, 0, 0])) == LEAVES_FRAME
+    assert pyramid.sums(1.0, (40.0, 30.0, 100.0, 70.0))[0] is table
+    assert pyramid.sums(1.0, (20.0, 22.0, 110.0, 78.0))[0].shape == (100, 162)
+
+
+@pytest.mark.parametrize(("bands", "cells"), [(4, 48), (3, 32), (2, 21)])
+def test_signature_is_its_definition(bands, cells):
+    options = SignatureSettings(cells=cells, bands=bands, anchors=5, is_compact=False)
+    patch = np.random.default_rng(cells).uniform(0, 255, (cells, cells)).astype(np.float32)
+    fast, length = SignatureReader(options).signature(patch)
+    np.testing.assert_allclose(fast[::2] + 1j * fast[1::2], plain_signature(options, patch).ravel(), atol=2e-5)
+    assert np.linalg.norm(fast) == pytest.approx(1, abs=1e-5)
+    assert length > 0
+
+
+def test_a_compact_signature_has_the_inner_products_of_the_whole():
+    options, rng = SignatureSettings(), np.random.default_rng(0)
+    first, second = (rng.uniform(0, 255, (48, 48)).astype(np.float32) for _ in range(2))
+    reader = SignatureReader(options)
+    one, other = reader.signature(first)[0], reader.signature((first + second) / 2)[0]
+    plain = np.vdot(plain_signature(options, first), plain_signature(options, (first + second) / 2)).real
+    assert len(one) == 2 * options.bands * options.cells
+    assert one @ other == pytest.approx(plain, abs=1e-5)
+    assert one @ other < 0.95
+
+
+def plain_signature(options, patch):
+    cells, reach = options.cells, options.spread / 2
+    anchors = np.round(np.linspace(cells * (0.5 - reach), cells * (0.5 + reach), options.anchors)).astype(int)
+    u = (np.arange(cells) + 0.5) / cells
+    taper = np.minimum(1, np.minimum(u, 1 - u) / options.taper)
+    bank = options.poles
+    return reference.read_signature(patch, options.bands, spiral_poles(bank), scale_weights(bank), anchors, taper)
 
 
 def test_signature_does_not_see_gain_and_offset():
