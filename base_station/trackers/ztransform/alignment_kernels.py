@@ -27,11 +27,14 @@ FLOOR_SHARE, FLOOR = 0.5, 0.1
 @njit(cache=True)
 def cut_blocks(patch, blocks):
     """The patch (cells, cells) as (blocks * blocks, flat), each block row by row."""
-    cells, side = patch.shape[0], patch.shape[0] // blocks
+    side = patch.shape[0] // blocks
     out = np.empty((blocks * blocks, side * side), patch.dtype)
-    for y in range(cells):
-        for x in range(cells):
-            out[(y // side) * blocks + x // side, (y % side) * side + x % side] = patch[y, x]
+    for top in range(blocks):
+        for left in range(blocks):
+            block = out[top * blocks + left]
+            for y in range(side):
+                for x in range(side):
+                    block[y * side + x] = patch[top * side + y, left * side + x]
     return out
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes
+from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
 from base_station.trackers.ztransform.kernels import read_signature
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
@@ -89,12 +89,13 @@ class SignatureReader:
         self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, cells: int
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """As `patch`, of any number of cells a side; of the frame no more is summed up than need be."""
-        patch, seen = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8)
+        patch, seen = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8)
         source = self.source(pyramid, placement, lens, cells=cells)
-        if lies(*source, lens, placement) != IN_FRAME:
-            source = self.source(pyramid, placement, lens, cells=cells, whole=True)
-        share = sample_boxes(*source, lens, placement, patch, seen)
-        return patch, seen, share
+        if lies(*source, lens, placement) == IN_FRAME:
+            sample_inside(*source, lens, placement, patch)
+            return patch, seen, 1.0
+        source = self.source(pyramid, placement, lens, cells=cells, whole=True)
+        return patch, seen, sample_boxes(*source, lens, placement, patch, seen)
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
         """Signature float32 (size,) of length 1, and its length before normalising: the contrast that was there."""
