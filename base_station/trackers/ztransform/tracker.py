@@ -31,7 +31,7 @@ class ZTransformSettings:
 
     keep_confidence: float = 0.35
     """While tracking, a resemblance below this is not the target, however slowly it came to look so."""
-    regain_confidence: float = 0.72
+    regain_confidence: float = 0.65
     """After it was lost, a resemblance below this is not the target yet."""
     keep_of_usual: float = 0.6
     """While tracking, a resemblance below this share of the usual is not the target: what vanishes does so suddenly."""
@@ -51,7 +51,7 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.78
+    firm: float = 0.6
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
@@ -167,6 +167,9 @@ class ZTransformTracker:
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
             self._seen_firm(pyramid, found, time_s)
             return found, True
+        if followed and kept and followed.confidence >= settings.firm:
+            self._seen_firm(pyramid, followed, time_s)
+            return followed, True
         if not (self._learned.is_place or self._is_loose) and (near or not self._is_proven):
             loose = self._follow_loose(pyramid, time_s)
             if loose is not None:
