@@ -11,7 +11,7 @@ import math
 import cv2
 import numpy as np
 
-SCALES = (1, 2, 4)
+COARSEST = 4
 FEWEST_PIXELS = 8
 PIXELS_PER_CELL = 1.5
 """At least this many of the chosen size in a cell."""
@@ -27,6 +27,7 @@ class Pyramid:
         """The frame itself, uint8 (height, width), contiguous and not writable: the one type the kernels know."""
         self._sizes = {1: self.image}
         self._sums: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._whole: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(self, scale: int) -> np.ndarray:
         """The frame at 1 / scale of its size, by means of 2x2 pixels; an odd last row or column is left out."""
@@ -41,21 +42,28 @@ class Pyramid:
         self, cell_px: float, around: tuple[float, float, float, float] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Running sums of at least the box `around` (left, top, right, bottom in px; None: the whole frame), and where
-        they are: see `boxes`. From pixels that suit cells of this size. Both are in use until the next call."""
-        scale = self._scale_for(cell_px)
-        rows, columns = (side // scale for side in self.image.shape)
-        known = self._sums.get(scale)
+        they are: see `boxes`. From pixels that suit cells of this size."""
+        scale, known = self._scale_for(cell_px), None
+        if scale in self._sums:
+            known = self._sums[scale]
+            if known is self._whole.get(scale) or (around is not None and _holds(*known, around)):
+                return known
+        rows, columns = self.image.shape[0] // scale, self.image.shape[1] // scale
         if known is None and around is not None:
-            left, top = (max(math.floor(side / scale), 0) for side in around[:2])
-            right, bottom = (math.ceil(side / scale) + 2 for side in around[2:])
-            right, bottom = min(right, columns), min(bottom, rows)
+            left, top = max(int(around[0]) // scale, 0), max(int(around[1]) // scale, 0)
+            right, bottom = min(int(around[2]) // scale + 2, columns), min(int(around[3]) // scale + 2, rows)
             if right - left > 1 and bottom - top > 1:
                 table = cv2.integral(self._part(scale, left, top, right, bottom))
-                self._sums[scale] = known = table, np.array([scale, left, top, columns, rows], float)
-        if known is None or (known[0].shape != (rows + 1, columns + 1) and not _holds(*known, around)):
-            table = cv2.integral(self.at(scale))
-            self._sums[scale] = known = table, np.array([scale, 0, 0, columns, rows], float)
+                self._sums[scale] = known = table, np.array((scale, left, top, columns, rows), np.float64)
+                return known
+        table = cv2.integral(self.at(scale))
+        self._sums[scale] = self._whole[scale] = known = table, np.array((scale, 0, 0, columns, rows), np.float64)
         return known
+
+    def coarser(self, where: np.ndarray) -> float:
+        """Cells of this many px and more are read from coarser sums than those that are here."""
+        scale = float(where[0])
+        return PIXELS_PER_CELL * 2 * scale if self._scale_for(math.inf) > scale else math.inf
 
     def _part(self, scale: int, left: int, top: int, right: int, bottom: int) -> np.ndarray:
         """A part of the frame at 1 / scale of its size, without making the rest of it."""
@@ -65,8 +73,10 @@ class Pyramid:
         return cv2.resize(finer, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
 
     def _scale_for(self, cell_px: float) -> int:
-        largest = min(self.image.shape) // FEWEST_PIXELS
-        return max(s for s in SCALES if s == 1 or (cell_px >= PIXELS_PER_CELL * s and s <= largest))
+        scale, largest = 1, min(self.image.shape) // FEWEST_PIXELS
+        while scale < COARSEST and cell_px >= PIXELS_PER_CELL * 2 * scale and 2 * scale <= largest:
+            scale *= 2
+        return scale
 
     def for_cell(self, cell_px: float) -> tuple[np.ndarray, int, int]:
         """For cells of this size, in px of the full frame: which image to read, its scale, reads per cell and axis."""
@@ -90,6 +100,8 @@ def _holds(table: np.ndarray, where: np.ndarray, around: tuple[float, float, flo
 
 
 def _read_only(image: np.ndarray) -> np.ndarray:
+    if image.flags.c_contiguous and not image.flags.writeable:
+        return image
     view = np.ascontiguousarray(image).view()
     view.flags.writeable = False
     return view

@@ -26,6 +26,8 @@ from base_station.trackers.ztransform.kernels import (
 LARGEST_STEP = 0.4
 LARGEST_KEYSTONE = 0.5
 ENOUGH_SEEN = 0.15
+NEAR = 0.025
+"""A step in all of whose parts a finer map is right."""
 MORE_TO_READ = -1.0
 """In the place of a share: the placement left the running sums."""
 
@@ -67,7 +69,8 @@ def refine(
 ):  # fmt: skip
     """Improve `placement` in place; returns confidence -1..1 and the share of the target in the frame.
 
-    `levels`: the map to use in each step; the last steps end early once a step is below `tolerance` (in widths).
+    `levels`: the map to use in each step, or a finer one where the step turns out to be small; the last steps end early
+    once a step is below `tolerance` (in widths).
     `gains`: what to take of each of the five parts of a step; 0 holds it. A negative third one means that width and
     height go together. A share of MORE_TO_READ: the placement left the table, go on with one of the whole frame.
     """
@@ -90,8 +93,12 @@ def refine(
             break
         for i in range(len(signature)):
             signature[i] -= learned[i]
-        for row in range(5):
-            step[row] = inner(maps[levels[turn], row], signature) * abs(gains[row])
+        level, largest = levels[turn] - 1, 0.0
+        while level < len(maps) - 1 and largest < NEAR:
+            level, largest = level + 1, 0.0
+            for row in range(5):
+                step[row] = inner(maps[level, row], signature) * abs(gains[row])
+                largest = max(largest, abs(step[row]))
         if share < 1.0:  # what is filled in says "no change", so the rest has to say more
             step[X] /= share
             step[Y] /= share
@@ -102,6 +109,6 @@ def refine(
         if not math.isfinite(placement[X]):
             return 0.0, 0.0
         small = max(abs(step[X]), abs(step[Y]), abs(step[WIDTH]), abs(step[HEIGHT])) < tolerance
-        if small and share >= 1.0 and levels[turn] == len(maps) - 1:
+        if small and share >= 1.0 and level == len(maps) - 1:
             break
     return confidence, share

@@ -85,7 +85,7 @@ class RigidFollower:
         self._learned_patch, _ = self.read(pyramid, placement, lens)
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
-        self._acquisition.learn(pyramid.image, placement, lens)
+        self._acquisition.learn(pyramid, placement, lens)
         if not is_place:
             self._aligner.learn(pyramid, placement, lens)
             self._pieces.learn(pyramid, placement, lens)
@@ -108,7 +108,7 @@ class RigidFollower:
         best = Look(last, 0.0, 0.0)
         turn = frames_lost % (len(ROW_SHIFTS) + 1)
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
-        for candidate in self._acquisition.find(pyramid.image, lens, zooms=zooms, **rows):
+        for candidate in self._acquisition.find(pyramid, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
             if best.confidence < self._settings.beyond_doubt and not self._is_place:
                 best = _better(best, self._approach(pyramid, candidate.placement, lens))

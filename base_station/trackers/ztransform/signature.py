@@ -21,7 +21,7 @@ from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, 
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.refinement import read_filled
 
-MARGIN = 0.14
+MARGIN = 0.1
 """Of a target's width and height: how far a refinement usually goes."""
 
 

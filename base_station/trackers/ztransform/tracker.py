@@ -218,11 +218,11 @@ class ZTransformTracker:
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
-        p, settings = look.placement, self._settings
+        (_, _, width, height, _), settings = look.placement.tolist(), self._settings
         return bool(
             look.share >= settings.least_share
-            and min(p[WIDTH], p[HEIGHT]) >= settings.smallest_side_px
-            and p[WIDTH] <= settings.largest_share * shape[1]
+            and min(width, height) >= settings.smallest_side_px
+            and width <= settings.largest_share * shape[1]
         )
 
     def _tracked(self, frame: Frame, look: Look, lens: np.ndarray) -> TrackerResult:
@@ -236,8 +236,8 @@ class ZTransformTracker:
             self._motion.start(p, frame.time_s)
             self._usual_confidence = look.confidence
         self._is_tracking, self._frames_lost = True, 0
-        x, y = to_pixel(p[X], p[Y], lens)
-        x0, y0 = to_pixel(learned.placement[X], learned.placement[Y], lens)
+        x, y = to_pixel(float(p[X]), float(p[Y]), lens)
+        x0, y0 = to_pixel(float(learned.placement[X]), float(learned.placement[Y]), lens)
         return TrackerResult(
             state=TrackingState.TRACKING,
             shift_px=x - x0,

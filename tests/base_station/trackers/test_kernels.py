@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,7 +24,16 @@ from base_station.trackers.ztransform.boxes import (
 from base_station.trackers.ztransform.kernels import fill_unseen, match_light, sample_patch
 from base_station.trackers.ztransform.poles import PoleSettings, decay_rates, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.search_kernels import band_profile, read_field, score_positions, sum_rows
+from base_station.trackers.ztransform.search_kernels import (
+    LANES,
+    best_position,
+    column_profile,
+    distinct,
+    energies,
+    read_field,
+    row_profile,
+    score_position,
+)
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
 POLES = st.builds(lambda s, b: complex(np.exp(s * (1 + 1j * b))), st.floats(0.02, 1.5), st.floats(0, 3))
@@ -206,36 +217,61 @@ def test_what_is_not_seen_is_taken_from_the_reference_in_this_light():
     np.testing.assert_allclose(patch, whole, atol=0.1)
 
 
-def test_band_profile_is_the_mean_of_its_cells():
+@pytest.mark.parametrize("along_rows", [True, False])
+def test_profiles_of_a_search_are_the_means_of_their_cells(along_rows):
     image = np.random.default_rng(2).integers(0, 256, (60, 90), np.uint8)
-    image.flags.writeable = False
-    sums = np.empty((61, 90), np.int32)
-    sum_rows(image, sums)
-    edges = np.array([3.0, 10.0, 20.5, 33.25])
-    cells = np.empty(3, np.float32)
-    band_profile(sums, 7.0, 19.0, edges, np.empty(91), cells)
-    rows = image[7:19].mean(0)
-    expected = [rows[3:10].mean(), np.append(rows[10:20], rows[20] / 2).sum() / 10.5]
-    expected.append((rows[20] / 2 + rows[21:33].sum() + rows[33] / 4) / 12.75)
-    np.testing.assert_allclose(cells, expected, rtol=1e-5)
+    table, _ = Pyramid(image).sums(1.0)
+    edges = np.array([-9.0, -4.0, 3.0, 10.0, 20.5, 33.25, 70.5, 200.0])
+    cells, sums = np.empty(7, np.float32), np.empty(91)
+    (row_profile if along_rows else column_profile)(table, 7.25, 19.0, edges, sums, cells)
+    lines = (image if along_rows else image.T).astype(float)
+    band = (0.75 * lines[7] + lines[8:19].sum(0)) / 11.75
+    length = len(band)
+
+    def mean(low, high):
+        pixels = np.arange(length)
+        weights = np.clip(np.minimum(pixels + 1, high) - np.maximum(pixels, low), 0, 1)
+        return weights @ band / weights.sum()
+
+    cut = np.clip(edges, 0, length - 0.02)
+    expected = [mean(low, high) for low, high in itertools.pairwise(cut[1:]) if high > low]
+    np.testing.assert_allclose(cells[1 : 1 + len(expected)], expected, rtol=1e-5)
+    assert cells[0] == 0
+    assert (cells[1 + len(expected) :] == cells[len(expected)]).all()
 
 
 def test_field_and_scores_are_their_definitions():
     rng = np.random.default_rng(3)
     bank = PoleSettings(count=3, longest_cells=5, shortest_cells=2)
     poles, weights = spiral_poles(bank), scale_weights(bank)
-    profile = rng.uniform(0, 255, 50).astype(np.float32)
-    field = np.empty((50, 3, 2, 2), np.float32)
-    read_field(profile, *(a.astype(np.float32) for a in (poles.real, poles.imag, weights)), field)
-    plain = reference.read_field(profile, poles, weights)
-    np.testing.assert_allclose(field[..., 0] + 1j * field[..., 1], plain, atol=1e-3 * np.abs(plain).max())
+    profiles = rng.uniform(0, 255, (2, 50)).astype(np.float32)
+    field, lanes = np.empty((50, 4 * LANES), np.float32), np.zeros((3, LANES), np.float32)
+    for lane, values in zip(lanes, (poles.real, poles.imag, weights), strict=True):
+        lane[:6] = np.tile(values, 2)
+    read_field(profiles, 3, lanes.ravel(), field)
+    parts = field.reshape(50, 2, 2, LANES)
+    assert not parts[..., 6:].any()
+    fast = np.stack([(parts[:, :, 0] + 1j * parts[:, :, 1])[..., b * 3 : b * 3 + 3] for b in range(2)])
+    plain = np.stack([reference.read_field(profile, poles, weights) for profile in profiles]).transpose(0, 1, 3, 2)
+    np.testing.assert_allclose(fast, plain, atol=1e-3 * np.abs(plain).max())
 
     anchors = np.array([-6, 0, 6])
-    fields = field.reshape(1, 50, -1)
-    learned = np.ascontiguousarray(fields[:, 25 + anchors].transpose(1, 0, 2))
-    energy = np.square(learned).sum((1, 2))
-    scores = np.empty(50, np.float32)
-    score_positions(fields, learned, energy, anchors, 0.6, scores)
-    assert int(scores.argmax()) == 25
-    assert scores[25] == pytest.approx(1, abs=1e-5)
-    np.testing.assert_allclose(scores, reference.score_positions(fields, learned, anchors, 0.6), atol=1e-4)
+    learned = field[24 + anchors]
+    scale, energy, energy_here = np.linalg.norm(learned), np.empty(3, np.float32), np.empty(50, np.float32)
+    learned = (learned / scale).astype(np.float32)
+    energies(learned, energy)
+    energies(field, energy_here)
+    plain = reference.score_positions(field[None], learned[:, None], anchors, 0.6)
+    fast = [score_position(field, energy_here, learned, energy, anchors, 0.6, n) for n in range(50)]
+    np.testing.assert_allclose(fast, plain, atol=1e-4)
+    for first, beyond in ((0, 50), (11, 40)):
+        score, place = best_position(field, learned, energy, anchors, 0.6, first, beyond)
+        assert score == pytest.approx(1, abs=1e-4)
+        assert place == pytest.approx(24, abs=0.5)
+
+
+def test_the_best_few_are_no_neighbours():
+    sizes = np.array([[240.0, 100, 80], [240, 100, 80], [240, 106, 85], [240, 100, 80], [280, 100, 80]])
+    found = np.array([[0.9, 300.0], [0.8, 305], [0.95, 300], [0.5, 500], [-1, 0]])
+    assert distinct(sizes, found, 4).tolist() == [2, 3]
+    assert distinct(sizes, found, 1).tolist() == [2]
