@@ -38,8 +38,8 @@ class AcquisitionSettings:
     """Against the learned size."""
     largest_zoom: float = 2.4
     """Against the learned size."""
-    log_zoom_step: float = 0.09
-    """Natural logarithm; the regression's middle map reaches +-0.12."""
+    log_zoom_step: float = 0.12
+    """Natural logarithm; the regression's middle map reaches +-0.12, twice as far as the farthest zoom is then off."""
     cells: int = 32
     """Across the target; fewer where that would be under 1.5 px each."""
     bands: int = 3
@@ -129,35 +129,35 @@ class Acquisition:
         settings, learned = self._settings, self._learned_at
         low, high = zooms or (settings.smallest_zoom, settings.largest_zoom)
         zoom = np.exp(np.arange(math.log(low), math.log(high) + 1e-9, settings.log_zoom_step))
-        width, height = learned[WIDTH] * zoom, learned[HEIGHT] * zoom
-        rule = lens[3] + zoom * (learned[Y] - lens[3])
-        sizes = np.stack([rule, width, height], 1)
+        sizes = np.empty((len(zoom), 1 + (row is not None) + (row_shift != 0), 3))
+        sizes[..., 1:] = zoom[:, None, None] * learned[[WIDTH, HEIGHT]]
+        sizes[..., 0] = (lens[3] + zoom * (learned[Y] - lens[3]))[:, None]
         if row is not None:
-            far = np.abs(row - rule) > 0.15 * height
-            sizes = np.concatenate([sizes, np.stack([np.full(len(zoom), row), width, height], 1)[far]])
+            near = np.abs(row - sizes[:, 1, 0]) <= 0.15 * sizes[:, 1, 2]
+            sizes[:, 1, 0] = np.where(near, np.nan, row)
         if row_shift:
-            sizes = np.concatenate([sizes, np.stack([rule + row_shift * height, width, height], 1)])
-        found = self._search(pyramid, lens, sizes)
-        for n in distinct(sizes, found, settings.candidates):
-            placement = np.array([found[n, 1], *sizes[n], 0.0])
+            sizes[:, -1, 0] += row_shift * sizes[:, -1, 2]
+        found, tried = self._search(pyramid, lens, sizes).reshape(-1, 2), sizes.reshape(-1, 3)
+        for n in distinct(tried, found, settings.candidates):
+            placement = np.array([found[n, 1], *tried[n], 0.0])
             if lens[0] <= 0:
                 self._to_best_row(pyramid, placement)
             yield Candidate(score=float(found[n, 0]), placement=placement)
 
     def _search(self, pyramid: Pyramid, lens: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Best score and its x for each of `sizes` (y, width, height); all that suit the same sums in one call."""
-        template, pitches = self._row, sizes[:, 1] / self._row.cells
-        found, rest = np.empty((len(sizes), 2)), np.ones(len(sizes), bool)
-        while rest.any():
-            table, where = pyramid.sums(float(pitches[rest].min()))
-            ours = rest & (pitches < pyramid.coarser(where))
-            scores = np.empty((int(ours.sum()), 2))
+        """Best score and its x for each of `sizes`, (zooms, rows, 3): y, width, height, from small to large; NaN: none.
+        All that suit the same sums in one call."""
+        template, pitches = self._row, sizes[:, 0, 1] / self._row.cells
+        found, first = np.empty((*sizes.shape[:2], 2)), 0
+        while first < len(sizes):
+            table, where = pyramid.sums(float(pitches[first]))
+            beyond = max(int(np.searchsorted(pitches, pyramid.coarser(where))), first + 1)
             search_rows(
-                table, where, lens, sizes[ours], template.cells, template.learned, template.energy, template.anchors,
-                self._settings.least_share, *self._plan, scores,
+                table, where, lens, sizes[first:beyond].reshape(-1, 3), template.cells, template.learned,
+                template.energy, template.anchors, self._settings.least_share, *self._plan,
+                found[first:beyond].reshape(-1, 2),
             )  # fmt: skip
-            found[ours] = scores
-            rest &= ~ours
+            first = beyond
         return found
 
     def _to_best_row(self, pyramid: Pyramid, placement: np.ndarray) -> None:

@@ -27,6 +27,8 @@ class RigidSettings:
     """A resemblance at which a search needs not look at further candidates."""
     place_zooms: tuple[float, float] = (0.8, 1.25)
     """A learned place is searched for in this range only."""
+    sudden_zoom: float = 1.5
+    """From one frame to the next a target does not get larger or smaller than by this factor."""
     tolerance: float = 0.001
     """In target widths: refining ends when a step is smaller."""
     signature: SignatureSettings = field(default_factory=SignatureSettings)
@@ -102,9 +104,19 @@ class RigidFollower:
             best = _better(best, self._approach(pyramid, predicted, lens))
         return best
 
-    def search(self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int) -> Look:
-        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed."""
+    def search(
+        self, pyramid: Pyramid, lens: np.ndarray, last: np.ndarray, frames_lost: int, *, just_seen: bool = False
+    ) -> Look:
+        """Acquisition, its candidates refined; the best of them, which may not be good enough to be believed.
+
+        `just_seen`: at `last`, in the frame before this one.
+        """
         zooms = self._settings.place_zooms if self._is_place else None
+        if just_seen and not self._is_place:
+            settings, sudden = self._settings.acquisition, self._settings.sudden_zoom
+            zoom = float(last[HEIGHT] / self._learned_at[HEIGHT])
+            zoom = min(max(zoom, settings.smallest_zoom), settings.largest_zoom)
+            zooms = max(zoom / sudden, settings.smallest_zoom), min(zoom * sudden, settings.largest_zoom)
         best = Look(last, 0.0, 0.0)
         turn = frames_lost % (len(ROW_SHIFTS) + 1)
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}

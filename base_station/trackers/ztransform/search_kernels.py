@@ -15,6 +15,8 @@ from numba import njit
 from base_station.trackers.ztransform.boxes import FRAME_WIDTH, LEAST, SCALE
 from base_station.trackers.ztransform.kernels import WIDEST_AZIMUTH_RAD
 
+FINITE_OR_NOT = {"contract", "arcp", "nsz", "reassoc"}
+"""Fast mathematics that knows NaN."""
 LANES = 16
 """Most bands times poles."""
 
@@ -194,12 +196,12 @@ def column_field(table, where, start, pitch, cells, x, width, bands, count, pole
     return field
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=FINITE_OR_NOT, error_model="numpy")
 def search_rows(
     table, where, lens, sizes, cells_across, learned, energy, anchors, least_share,
     bands, count, poles, found,
 ):  # fmt: skip
-    """The best column for each of `sizes` (y, width, height; px), into `found` (score, x); -1 where nothing fits in."""
+    """The best column for each of `sizes` (y, width, height; px), into `found` (score, x); -1 where none fits."""
     left, right = -0.5, where[FRAME_WIDTH] * where[SCALE] - 0.5
     if lens[0] > 0:
         left = lens[2] + lens[1] * math.atan((left - lens[2]) / lens[1])
@@ -209,7 +211,7 @@ def search_rows(
         pitch = width / cells_across
         cells = int((right - left) / pitch)
         found[i, 0], found[i, 1] = -1.0, 0.0
-        if cells < 3:
+        if cells < 3 or math.isnan(y):
             continue
         field = row_field(table, where, lens, left, pitch, cells, y, height, bands, count, poles)
         score, best = best_position(field, learned, energy, anchors, least_share, 0, cells)

@@ -57,8 +57,10 @@ class ZTransformSettings:
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
     """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
-    loose_every: int = 4
-    """While a proven target is seen firm, the loose follower learns from every so many frames only."""
+    loose_every: int = 24
+    """While a proven target is seen firm, the loose follower learns from every so many frames only..."""
+    loose_times: int = 6
+    """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
@@ -163,7 +165,8 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
-        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
+        just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
+        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
             self._seen_firm(pyramid, found, time_s)
             return found, True
@@ -190,14 +193,15 @@ class ZTransformTracker:
     def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float) -> None:
         """The signature was seen; now and then the loose follower learns how the target looks there."""
         assert self._learned is not None
+        settings = self._settings
         self._is_loose, self._firm_s = False, time_s
-        if look.confidence < self._settings.firm or self._learned.is_place:
+        if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+        if look.share < 1 or (self._is_proven and self._frames % settings.loose_every):
             return
-        if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
-            self._loose.adapt(pyramid)
+        if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
+            self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
 
     def _follow_loose(self, pyramid: Pyramid, time_s: float) -> Look | None:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
