@@ -53,6 +53,8 @@ class ZTransformSettings:
     """Of the frame's width; a target that looks wider than that is too near."""
     firm: float = 0.6
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
+    uncovered: float = 0.85
+    """Of the target that must look as it was learned, or the loose follower does not learn from it."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
@@ -198,7 +200,8 @@ class ZTransformTracker:
         if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if look.share < 1 or (self._is_proven and self._frames % settings.loose_every):
+        covered = look.share < 1 or look.alike < settings.uncovered
+        if covered or (self._is_proven and self._frames % settings.loose_every):
             return
         if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
             self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
