@@ -51,6 +51,8 @@ class AlignmentSettings:
     """Of them."""
     judged_part: float = 0.5
     """Of the target that must be alike; the rest may be covered."""
+    noisy_below: float = 0.9
+    """Where the resemblance is below this, the pixels' noise is measured, and what it explains is forgiven."""
     alike: float = 0.7
     """A block with a correlation above this is seen."""
 
@@ -94,7 +96,7 @@ class Aligner:
             probes.append((ahead - back) / (2 * step[freedom]))
         patch = self._means(pyramid, placement, lens)[0]
         self._fine, self._coarse = (self._level(patch, probes, s) for s in (0.0, settings.smoothing_cells))
-        self._slopes = np.stack([cut_blocks(slope, settings.blocks) for slope in slope_directions(patch)])
+        self._slopes = np.stack([cut_blocks(slope, settings.blocks) for slope in slope_directions(patch)[0]])
         self._slope_energies = np.square(self._slopes).sum((0, 2))
 
     def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
@@ -108,10 +110,11 @@ class Aligner:
             length = self._step(self._fine, placement, cut, compared)
             if length < settings.repeat_px:
                 break
-        confidence, alike = resemblance(
-            patch, compared, self._fine.energies, self._slopes, self._slope_energies, settings.judged_part,
-            settings.alike,
-        )  # fmt: skip
+        confidence, alike = self._resemblance(patch, compared, 0.0)
+        if confidence < settings.noisy_below:
+            noise = pixel_noise(pyramid.image, placement)
+            pixels = placement[WIDTH] * placement[HEIGHT] / self._reader.cells**2
+            confidence, alike = self._resemblance(patch, compared, noise / math.sqrt(max(pixels, 1.0)))
         return Alignment(placement, float(confidence), float(share), float(alike))
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
@@ -122,6 +125,12 @@ class Aligner:
             cut, compared = self._compare(self._coarse, patch, seen)
             self._step(self._coarse, placement, cut, compared)
         return self.settle(pyramid, placement, lens)
+
+    def _resemblance(self, patch: np.ndarray, compared: np.ndarray, noise: float) -> tuple[float, float]:
+        return resemblance(
+            patch, compared, self._fine.energies, self._slopes, self._slope_energies, self._settings.judged_part,
+            self._settings.alike, noise,
+        )  # fmt: skip
 
     def _means(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         return self._reader.means(pyramid, placement, lens, self._reader.cells)
@@ -160,3 +169,12 @@ def _moved(placement: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def _smoothed(patch: np.ndarray, cells: float) -> np.ndarray:
     return cv2.GaussianBlur(patch, (0, 0), cells) if cells else patch
+
+
+def pixel_noise(image: np.ndarray, placement: np.ndarray) -> float:
+    """Standard deviation of the pixels' noise in every eighth row of the target, by second differences; 0 if few."""
+    x, y, width, height, _ = placement.tolist()
+    rows = slice(max(int(y - height / 2), 0), max(int(y + height / 2), 0), 8)
+    lines = image[rows, max(int(x - width / 2), 0) : max(int(x + width / 2), 0)].astype(np.int16)
+    fine = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
+    return 1.4826 * float(np.median(fine)) / math.sqrt(6) if fine.size else 0.0

@@ -20,6 +20,8 @@ NOISE = 0.5
 """Grey levels squared a cell, added to a block's energy: what is faint does not count as like or unlike."""
 LEAST_GAIN, LARGEST_GAIN = 0.05, 3.0
 """Of light: the whole patch's is at least the one, a block's at most the other times the whole patch's."""
+MOST_NOISE = 0.4
+"""Of a block's energy that is taken for noise."""
 FLOOR_SHARE, FLOOR = 0.5, 0.1
 """A slope is divided by its size plus a share of the patch's mean slope plus grey levels a cell: its direction."""
 
@@ -136,10 +138,10 @@ def solve(matrix, right, out):
 def slope_directions(patch):
     """Central differences along the rows and down, float32 (2, cells, cells), of length below 1: their directions.
 
-    Faint slopes are shorter. The outermost cells have none.
+    Faint slopes are shorter. The outermost cells have none. And (cells, cells): by what each slope was multiplied.
     """
     cells = patch.shape[0]
-    out = np.zeros((2, cells, cells), np.float32)
+    out, scales = np.zeros((2, cells, cells), np.float32), np.zeros((cells, cells), np.float32)
     half, total = np.float32(0.5), np.float32(0)
     for y in range(1, cells - 1):
         for x in range(1, cells - 1):
@@ -151,8 +153,8 @@ def slope_directions(patch):
         for x in range(1, cells - 1):
             across, down = out[0, y, x], out[1, y, x]
             scale = np.float32(1) / (math.sqrt(across * across + down * down) + floor)
-            out[0, y, x], out[1, y, x] = across * scale, down * scale
-    return out
+            out[0, y, x], out[1, y, x], scales[y, x] = across * scale, down * scale, scale
+    return out, scales
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -173,28 +175,34 @@ def best_part(likeness, weights, part):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def resemblance(patch, compared, energies, learned_slopes, slope_energies, part, alike):
+def resemblance(patch, compared, energies, learned_slopes, slope_energies, part, alike, noise):
     """How much a patch is like the learned one, and the share of it that is; both 0..1.
 
     The product of three: the blocks' correlations and those of their slopes' directions, each over the best `part` of
     the blocks, and, at half weight, the latter over all blocks. Directions know finer detail, faint as well as strong:
-    a mirror image has but the first.
+    a mirror image has but the first. `noise`: standard deviation of a cell; the energy that it adds, up to
+    MOST_NOISE of a block's, does not count against the likeness.
     """
     blocks = len(compared)
     side = round(math.sqrt(blocks))
-    slopes = slope_directions(patch)
-    across, down = cut_blocks(slopes[0], side), cut_blocks(slopes[1], side)
+    slopes, scales = slope_directions(patch)
+    across, down, scale = cut_blocks(slopes[0], side), cut_blocks(slopes[1], side), cut_blocks(scales, side)
+    variance = np.float32(noise * noise)
     light, fine = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
     light_weights, fine_weights = np.zeros(blocks, np.float32), np.zeros(blocks, np.float32)
     faint = np.float32(NOISE * across.shape[1])
     total, agreed = 0.0, 0.0
     for b in range(blocks):
-        product, energy = np.float32(0), np.float32(1e-6)
+        product, energy, added = np.float32(0), np.float32(1e-6), np.float32(0)
         for i in range(across.shape[1]):
             product += across[b, i] * learned_slopes[0, b, i] + down[b, i] * learned_slopes[1, b, i]
             energy += across[b, i] * across[b, i] + down[b, i] * down[b, i]
-        fine[b] = product / math.sqrt(energy * slope_energies[b] + np.float32(1e-6))
-        light[b] = compared[b, 0] / math.sqrt((energies[b] + faint) * (max(compared[b, 1], np.float32(0)) + faint))
+            added += variance * scale[b, i] * scale[b, i]
+        energy = max(energy - added, (np.float32(1) - np.float32(MOST_NOISE)) * energy)
+        fine[b] = min(product / math.sqrt(energy * slope_energies[b] + np.float32(1e-6)), np.float32(1))
+        square = max(compared[b, 1], np.float32(0))
+        square = max(square - variance * across.shape[1], (np.float32(1) - np.float32(MOST_NOISE)) * square)
+        light[b] = min(compared[b, 0] / math.sqrt((energies[b] + faint) * (square + faint)), np.float32(1))
         if compared[b, 1] >= 0:
             light_weights[b], fine_weights[b] = math.sqrt(energies[b]), math.sqrt(slope_energies[b])
             total += light_weights[b]

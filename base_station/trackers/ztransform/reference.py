@@ -269,13 +269,17 @@ def robust_step(
     return -np.linalg.solve(hessian, np.einsum("b,bni,bn->i", weights, rows, deviations))
 
 
-def slope_directions(patch: np.ndarray) -> np.ndarray:
-    """Central differences along the rows and down (2, cells, cells), over their size and a floor; 0 at the border."""
-    inner = np.zeros((2, *patch.shape))
+def slope_directions(patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along the rows and down (2, cells, cells), over their size and a floor; 0 at the border.
+
+    And (cells, cells) what each was multiplied by.
+    """
+    inner, scales = np.zeros((2, *patch.shape)), np.zeros(patch.shape)
     inner[0, 1:-1, 1:-1] = (patch[1:-1, 2:] - patch[1:-1, :-2]) / 2
     inner[1, 1:-1, 1:-1] = (patch[2:, 1:-1] - patch[:-2, 1:-1]) / 2
-    size = np.sqrt((inner**2).sum(0))
-    return inner / (size + 0.5 * size[1:-1, 1:-1].mean() + 0.1)
+    size = np.sqrt((inner**2).sum(0))[1:-1, 1:-1]
+    scales[1:-1, 1:-1] = 1 / (size + 0.5 * size.mean() + 0.1)
+    return inner * scales, scales
 
 
 def best_part(likeness: np.ndarray, weights: np.ndarray, part: float) -> float:
@@ -286,15 +290,19 @@ def best_part(likeness: np.ndarray, weights: np.ndarray, part: float) -> float:
     return float((taken * likeness[order]).sum() / wanted)
 
 
-def resemblance(patch: np.ndarray, learned: np.ndarray, blocks: int, part: float) -> float:
+def resemblance(patch: np.ndarray, learned: np.ndarray, blocks: int, part: float, noise: float) -> float:
     """How much a patch is like the learned one, 0..1; see `alignment_kernels`. All of it lies in the frame."""
     one, other = (cut - cut.mean(1, keepdims=True) for cut in (blocks_of(p, blocks) for p in (patch, learned)))
     faint = 0.5 * one.shape[1]
     energies = (other**2).sum(1)
-    light = (one * other).sum(1) / np.sqrt(((one**2).sum(1) + faint) * (energies + faint))
-    now, then = (np.stack([blocks_of(d, blocks) for d in slope_directions(p)]) for p in (patch, learned))
-    then_energies = (then**2).sum((0, 2))
-    fine = (now * then).sum((0, 2)) / np.sqrt((now**2).sum((0, 2)) * then_energies + 1e-6)
+    square = (one**2).sum(1)
+    square = np.maximum(square - noise**2 * one.shape[1], 0.6 * square)
+    light = np.minimum((one * other).sum(1) / np.sqrt((square + faint) * (energies + faint)), 1)
+    (slopes, scales), (then, _) = slope_directions(patch), slope_directions(learned)
+    now, then = (np.stack([blocks_of(d, blocks) for d in directions]) for directions in (slopes, then))
+    then_energies, energy = (then**2).sum((0, 2)), (now**2).sum((0, 2))
+    energy = np.maximum(energy - noise**2 * (blocks_of(scales, blocks) ** 2).sum(1), 0.6 * energy)
+    fine = np.minimum((now * then).sum((0, 2)) / np.sqrt(energy * then_energies + 1e-6), 1)
     whole = best_part(fine, np.sqrt(then_energies), 1.0)
     parts = best_part(light, np.sqrt(energies), part), best_part(fine, np.sqrt(then_energies), part)
     return max(parts[0], 0) * max(parts[1], 0) * (0.5 + 0.5 * max(whole, 0))

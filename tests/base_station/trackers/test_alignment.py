@@ -66,11 +66,15 @@ def test_kernels_are_their_definitions(seed):
         step, reference.robust_step(cut.astype(float), shown, deviations, changes, prior), rtol=2e-3, atol=1e-5
     )
     slopes = alignment_kernels.slope_directions(patch)
-    np.testing.assert_allclose(slopes, reference.slope_directions(patch.astype(float)), atol=1e-4)
-    then = np.stack([alignment_kernels.cut_blocks(s, blocks) for s in alignment_kernels.slope_directions(learned)])
+    for found, plain in zip(slopes, reference.slope_directions(patch.astype(float)), strict=True):
+        np.testing.assert_allclose(found, plain, rtol=1e-4, atol=1e-4)
+    then = np.stack([alignment_kernels.cut_blocks(s, blocks) for s in alignment_kernels.slope_directions(learned)[0]])
     compared = alignment_kernels.compare_blocks(cut, np.ones_like(seen), deviations, energies)
-    like, alike = alignment_kernels.resemblance(patch, compared, energies, then, (then**2).sum((0, 2)), 0.5, 0.7)
-    assert like == pytest.approx(reference.resemblance(patch, learned, blocks, 0.5), abs=1e-3)
+    for noise in (0.0, 2.0, 20.0):
+        like, alike = alignment_kernels.resemblance(
+            patch, compared, energies, then, (then**2).sum((0, 2)), 0.5, 0.7, noise
+        )
+        assert like == pytest.approx(reference.resemblance(patch, learned, blocks, 0.5, noise), abs=1e-3)
     assert 0.5 < alike < 0.95
 
 
