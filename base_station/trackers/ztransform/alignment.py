@@ -53,6 +53,8 @@ class AlignmentSettings:
     """Of the target that must be alike; the rest may be covered."""
     noisy_below: float = 0.9
     """Where the resemblance is below this, the pixels' noise is measured, and what it explains is forgiven."""
+    fewest_pixels: float = 4.0
+    """In a cell, for that: where there are fewer, neighbouring cells are alike by themselves, and much looks alike."""
     alike: float = 0.7
     """A block with a correlation above this is seen."""
 
@@ -111,10 +113,10 @@ class Aligner:
             if length < settings.repeat_px:
                 break
         confidence, alike = self._resemblance(patch, compared, 0.0)
-        if confidence < settings.noisy_below:
-            noise = pixel_noise(pyramid.image, placement)
-            pixels = placement[WIDTH] * placement[HEIGHT] / self._reader.cells**2
-            confidence, alike = self._resemblance(patch, compared, noise / math.sqrt(max(pixels, 1.0)))
+        pixels = placement[WIDTH] * placement[HEIGHT] / self._reader.cells**2
+        if confidence < settings.noisy_below and pixels >= settings.fewest_pixels:
+            noise = pixel_noise(pyramid.image, placement) / math.sqrt(pixels)
+            confidence, alike = self._resemblance(patch, compared, noise)
         return Alignment(placement, float(confidence), float(share), float(alike))
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
