@@ -27,12 +27,10 @@ class Motion:
 
     def observe(self, placement: np.ndarray, time_s: float) -> None:
         """Seen in the next frame."""
-        elapsed_s, now = time_s - self._time_s, _linear(placement)
+        elapsed_s, now, old = time_s - self._time_s, _linear(placement), self._linear
         if elapsed_s > 0:
-            keep, take = 1 - SMOOTHING, SMOOTHING / elapsed_s
-            self._velocity = [
-                keep * v + take * (new - old) for v, new, old in zip(self._velocity, now, self._linear, strict=True)
-            ]
+            keep, take, v = 1 - SMOOTHING, SMOOTHING / elapsed_s, self._velocity
+            self._velocity = [keep * v[i] + take * (now[i] - old[i]) for i in range(4)]
         self.last, self._linear, self._time_s = placement.copy(), now, time_s
 
     def age_s(self, time_s: float) -> float:
@@ -45,8 +43,9 @@ class Motion:
         The keystone stays: it is too noisy to extrapolate.
         """
         elapsed_s = min(max(time_s - self._time_s, 0.0), LONGEST_GUESS_S)
-        x, y, log_width, log_height = (old + v * elapsed_s for old, v in zip(self._linear, self._velocity, strict=True))
-        return np.array([x, y, math.exp(log_width), math.exp(log_height), self.last[4]])
+        (x, y, log_width, log_height), v = self._linear, self._velocity
+        width, height = math.exp(log_width + v[2] * elapsed_s), math.exp(log_height + v[3] * elapsed_s)
+        return np.array((x + v[0] * elapsed_s, y + v[1] * elapsed_s, width, height, self.last[4]))
 
 
 def _linear(placement: np.ndarray) -> list[float]:

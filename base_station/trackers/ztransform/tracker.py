@@ -59,9 +59,9 @@ class ZTransformSettings:
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
     """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
-    loose_every: int = 24
+    loose_every: int = 30
     """While a proven target is seen firm, the loose follower learns from every so many frames only..."""
-    loose_times: int = 6
+    loose_times: int = 7
     """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
