@@ -162,3 +162,41 @@ def sample_boxes(table, where, lens, placement, patch, seen):
             total += 1 if ok else 0
         left = right
     return total / (cells * cells)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def sample_inside(table, where, lens, placement, patch):
+    """As `sample_boxes`, of a placement that lies in the frame and in the table; a fourth of the price.
+
+    First along the rows, for each row of the table the sums between neighbouring edges; then down the columns.
+    """
+    cells = patch.shape[0]
+    at, part, wide = np.empty(cells + 1, np.int64), np.empty(cells + 1), np.empty(cells)
+    tops, steps = np.empty(cells), np.empty(cells)
+    for i in range(cells + 1):
+        x, _, _ = column_at(i / cells - 0.5, where, lens, placement)
+        at[i] = int(x - where[LEFT])
+        part[i] = x - where[LEFT] - at[i]
+        if i > 0:
+            wide[i - 1] = (at[i] - at[i - 1]) + (part[i] - part[i - 1])
+            _, shrink, _ = column_at((i - 0.5) / cells - 0.5, where, lens, placement)
+            tops[i - 1] = row_at(-0.5, shrink, where, lens, placement) - where[TOP]
+            steps[i - 1] = placement[HEIGHT] * shrink / (where[SCALE] * cells)
+    first, last = max(int(tops.min()), 0), min(int((tops + cells * steps).max()) + 1, table.shape[0] - 1)
+    strips, edges = np.empty((last - first + 1, cells)), np.empty(cells + 1)
+    for row in range(first, last + 1):
+        for i in range(cells + 1):
+            here = table[row, at[i]]
+            edges[i] = here + part[i] * (table[row, at[i] + 1] - here)
+        for i in range(cells):
+            strips[row - first, i] = edges[i + 1] - edges[i]
+    for i in range(cells):
+        above = 0.0
+        share = 1.0 / (wide[i] * steps[i])
+        for j in range(cells + 1):
+            y = tops[i] + j * steps[i] - first
+            row = min(max(int(y), 0), last - first - 1)
+            now = strips[row, i] + (y - row) * (strips[row + 1, i] - strips[row, i])
+            if j > 0:
+                patch[j - 1, i] = (now - above) * share
+            above = now

@@ -237,3 +237,85 @@ def _smoothed(rows: np.ndarray, pole: float) -> np.ndarray:
     for n in range(1, len(rows)):
         out[n] = (1 - pole) * rows[n] + pole * out[n - 1]
     return out
+
+
+def blocks_of(patch: np.ndarray, blocks: int) -> np.ndarray:
+    """A patch (cells, cells) as (blocks * blocks, cells of a block), row by row."""
+    side = len(patch) // blocks
+    return patch.reshape(blocks, side, blocks, side).swapaxes(1, 2).reshape(blocks * blocks, side * side)
+
+
+def robust_step(
+    cut: np.ndarray, shown: np.ndarray, learned: np.ndarray, changes: np.ndarray, prior: np.ndarray
+) -> np.ndarray:
+    """The step (5,) that takes a patch, cut into blocks, back to the learned one.
+
+    `learned` (blocks, n): deviations from each block's mean; `changes` (blocks, 5, n): what each part of a step adds to
+    them that no gain of light could; `shown` (blocks,) bool: wholly in the frame; `prior` (5,): 1 / variance of a step.
+    """
+    deviations = cut - cut.mean(1, keepdims=True)
+    energies = (learned**2).sum(1)
+    products = (deviations * learned).sum(1)
+    gains = products / (energies + 1e-3)
+    misfits = np.maximum((deviations**2).sum(1) - gains * products, 0) / (cut.shape[1] - 2)
+    usual = np.median(misfits[shown]) + 0.02
+    firm = shown & (energies > np.median(energies))
+    whole_gain = max(np.median(gains[firm]), 0.05) if firm.any() else 0.05
+    trust = 0.2 * np.median(energies) + 1e-3
+    gains = np.clip((products + trust * whole_gain) / (energies + trust), 0, 3 * whole_gain)
+    weights = shown * usual / (misfits + usual)
+    rows = (changes * gains[:, None, None]).swapaxes(1, 2)  # as light shows it
+    hessian = np.einsum("b,bni,bnj->ij", weights, rows, rows) + np.diag(prior * usual)
+    return -np.linalg.solve(hessian, np.einsum("b,bni,bn->i", weights, rows, deviations))
+
+
+def slope_directions(patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along the rows and down (2, cells, cells), over their size and a floor; 0 at the border.
+
+    And (cells, cells) what each was multiplied by.
+    """
+    inner, scales = np.zeros((2, *patch.shape)), np.zeros(patch.shape)
+    inner[0, 1:-1, 1:-1] = (patch[1:-1, 2:] - patch[1:-1, :-2]) / 2
+    inner[1, 1:-1, 1:-1] = (patch[2:, 1:-1] - patch[:-2, 1:-1]) / 2
+    size = np.sqrt((inner**2).sum(0))[1:-1, 1:-1]
+    scales[1:-1, 1:-1] = 1 / (size + 0.5 * size.mean() + 0.1)
+    return inner * scales, scales
+
+
+def best_part(likeness: np.ndarray, weights: np.ndarray, part: float) -> float:
+    """Weighted mean over the most alike, which have this part of the whole weight; one of them may count in part."""
+    order = np.argsort(-likeness)
+    wanted = part * weights.sum()
+    taken = np.diff(np.minimum(np.cumsum(weights[order]), wanted), prepend=0)
+    return float((taken * likeness[order]).sum() / wanted)
+
+
+def resemblance(patch: np.ndarray, learned: np.ndarray, blocks: int, part: float, noise: float) -> float:
+    """How much a patch is like the learned one, 0..1; see `alignment_kernels`. All of it lies in the frame."""
+    one, other = (cut - cut.mean(1, keepdims=True) for cut in (blocks_of(p, blocks) for p in (patch, learned)))
+    faint = 0.5 * one.shape[1]
+    energies = (other**2).sum(1)
+    square = (one**2).sum(1)
+    square = np.maximum(square - noise**2 * one.shape[1], 0.6 * square)
+    light = np.minimum((one * other).sum(1) / np.sqrt((square + faint) * (energies + faint)), 1)
+    (slopes, scales), (then, _) = slope_directions(patch), slope_directions(learned)
+    now, then = (np.stack([blocks_of(d, blocks) for d in directions]) for directions in (slopes, then))
+    then_energies, energy = (then**2).sum((0, 2)), (now**2).sum((0, 2))
+    energy = np.maximum(energy - noise**2 * (blocks_of(scales, blocks) ** 2).sum(1), 0.6 * energy)
+    fine = np.minimum((now * then).sum((0, 2)) / np.sqrt(energy * then_energies + 1e-6), 1)
+    whole = best_part(fine, np.sqrt(then_energies), 1.0)
+    parts = best_part(light, np.sqrt(energies), part), best_part(fine, np.sqrt(then_energies), part)
+    return max(parts[0], 0) * max(parts[1], 0) * (0.5 + 0.5 * max(whole, 0))
+
+
+def count_votes(window: np.ndarray, learned: np.ndarray, side: int, faint: float) -> np.ndarray:
+    """Votes of the learned picture's square pieces for every shift of it in the window; see `pieces`."""
+    shifts, n = len(window) - len(learned) + 1, len(learned) // side
+    votes = np.zeros((shifts, shifts))
+    for top, left, down, right in np.ndindex(n, n, shifts, shifts):
+        piece = learned[top * side : (top + 1) * side, left * side : (left + 1) * side]
+        seen = window[top * side + down : (top + 1) * side + down, left * side + right : (left + 1) * side + right]
+        product = ((piece - piece.mean()) * (seen - seen.mean())).mean()
+        weight = piece.var() / (piece.var() + 4 * faint)
+        votes[down, right] += weight * max(product, 0) ** 2 / (piece.var() * (seen.var() + faint) + 1e-6)
+    return votes

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
+from base_station.trackers.ztransform.alignment import Aligner, Alignment, AlignmentSettings
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, Y
+from base_station.trackers.ztransform.pieces import Pieces, PieceSettings
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import MORE_TO_READ, refine
+from base_station.trackers.ztransform.refinement import ENOUGH_SEEN, MORE_TO_READ, refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
@@ -33,6 +35,10 @@ class RigidSettings:
     """How a patch is read."""
     regression: RegressionSettings = field(default_factory=RegressionSettings)
     """How its changes are learned."""
+    alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    """How it is compared, cell by cell."""
+    pieces: PieceSettings = field(default_factory=PieceSettings)
+    """How it is looked for when a part of it is covered."""
     acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
     """How it is searched for."""
 
@@ -43,11 +49,12 @@ ROW_SHIFTS = (0.2, -0.2, 0.4, -0.4, 0.6, -0.6)
 
 @dataclass(frozen=True)
 class Look:
-    """What looking gave. `share`: of the target that lies in the frame."""
+    """What looking gave. `share`: of the target that lies in the frame; `alike`: of that, what is not covered."""
 
     placement: np.ndarray
     confidence: float
     share: float
+    alike: float = 1.0
     tells_angle: bool = False
     """Width, height and keystone of the placement were measured each for itself."""
 
@@ -66,6 +73,8 @@ class RigidFollower:
         self._settings = settings
         self._reader = SignatureReader(settings.signature)
         self._acquisition = Acquisition(settings.acquisition)
+        self._aligner = Aligner(settings.alignment, self._reader)
+        self._pieces = Pieces(settings.pieces, self._reader)
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, float]:
         """The patch at a placement, float32 (cells, cells), and the share of it that lies in the frame."""
@@ -79,6 +88,9 @@ class RigidFollower:
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
         self._acquisition.learn(pyramid, placement, lens)
+        if not is_place:
+            self._aligner.learn(pyramid, placement, lens)
+            self._pieces.learn(pyramid, placement, lens)
 
     def follow(
         self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
@@ -89,6 +101,8 @@ class RigidFollower:
         for start in (predicted, last):
             if best.confidence < enough:
                 best = _better(best, self._refine(pyramid, start, lens, _WIDER))
+        if best.confidence < enough and not self._is_place:
+            best = _better(best, self._approach(pyramid, predicted, lens))
         return best
 
     def search(
@@ -109,15 +123,20 @@ class RigidFollower:
         rows = {"row_shift": ROW_SHIFTS[turn - 1]} if turn else {"row": float(last[1])}
         for candidate in self._acquisition.find(pyramid, lens, zooms=zooms, **rows):
             best = _better(best, self._refine(pyramid, candidate.placement, lens, _FROM_SEARCH))
+            if best.confidence < self._settings.beyond_doubt and not self._is_place:
+                best = _better(best, self._approach(pyramid, candidate.placement, lens))
             if best.confidence > self._settings.beyond_doubt:
-                break
+                return best
+        if not self._is_place:
+            best = _better(best, self._approach(pyramid, self._pieces.find(pyramid, last, lens), lens))
         return best
 
+    def _approach(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray) -> Look:
+        """Without the signature, for it knows no covered parts."""
+        return self._judged(pyramid, self._aligner.approach(pyramid, *_in_band(pyramid, start, lens)))
+
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
-        placement = start.copy()
-        if pyramid.first_row:
-            placement[Y] -= pyramid.first_row
-            lens = lens - (0, 0, 0, pyramid.first_row)
+        placement, lens = _in_band(pyramid, start, lens)
         for whole in (False, True):
             confidence, share = refine(
                 *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, self._learned_patch,
@@ -126,13 +145,24 @@ class RigidFollower:
             )  # fmt: skip
             if share != MORE_TO_READ:
                 break
+        if self._is_place or share < ENOUGH_SEEN:
+            return self._judged(pyramid, Alignment(placement, float(confidence), float(share), 1.0))
+        return self._judged(pyramid, self._aligner.settle(pyramid, placement, lens))
+
+    def _judged(self, pyramid: Pyramid, found: Alignment) -> Look:
+        """In the whole frame. What got much flatter or wider than it was learned is not believed."""
+        placement = found.placement
         placement[Y] += pyramid.first_row
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
-        return Look(
-            placement, float(confidence) if low <= aspect <= high else 0.0, float(share), tells_angle=not self._is_place
-        )
+        confidence = found.confidence if low <= aspect <= high else 0.0
+        return Look(placement, confidence, found.share, alike=found.alike, tells_angle=not self._is_place)
 
 
 def _better(one: Look, other: Look) -> Look:
     return other if other.confidence > one.confidence else one
+
+
+def _in_band(pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A copy of the placement, and the lens, counted from the pyramid's first row."""
+    return placement - (0, pyramid.first_row, 0, 0, 0), lens - (0, 0, 0, pyramid.first_row)

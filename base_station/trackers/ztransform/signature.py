@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.boxes import sample_boxes
+from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
 from base_station.trackers.ztransform.kernels import read_signature
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
@@ -58,12 +58,18 @@ class SignatureReader:
         """bands, windows: float32 (cells, numbers)."""
 
     def source(
-        self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, whole: bool = False
+        self,
+        pyramid: Pyramid,
+        placement: np.ndarray,
+        lens: np.ndarray,
+        *,
+        cells: int | None = None,
+        whole: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Running sums to read this placement from, and where they are, see `boxes`; of the whole frame, or at least of
         the placement and a margin."""
         x, y, width, height, keystone = placement.tolist()
-        cell_px = max(width, height) / self.cells
+        cell_px = max(width, height) / (cells or self.cells)
         if whole or lens[0] > 0:
             return pyramid.sums(cell_px)
         horizon = float(lens[3])
@@ -78,6 +84,18 @@ class SignatureReader:
         patch, seen = np.empty((self.cells,) * 2, np.float32), np.empty((self.cells,) * 2, np.uint8)
         share = sample_boxes(*self.source(pyramid, placement, lens, whole=True), lens, placement, patch, seen)
         return patch, seen, share
+
+    def means(
+        self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, cells: int
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """As `patch`, of any number of cells a side; of the frame no more is summed up than need be."""
+        patch, seen = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8)
+        source = self.source(pyramid, placement, lens, cells=cells)
+        if lies(*source, lens, placement) == IN_FRAME:
+            sample_inside(*source, lens, placement, patch)
+            return patch, seen, 1.0
+        source = self.source(pyramid, placement, lens, cells=cells, whole=True)
+        return patch, seen, sample_boxes(*source, lens, placement, patch, seen)
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
         """Signature float32 (size,) of length 1, and its length before normalising: the contrast that was there."""
