@@ -29,9 +29,9 @@ from base_station.discovery import find_robots
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
+from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.evaluation.picture import RunPicture
-from base_station.evaluation.tracking_command import Evaluate, evaluate
 from base_station.geometry import PinholeCamera
 from base_station.landmarks_command import (
     DEFAULT_MEMORY,

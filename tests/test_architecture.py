@@ -27,7 +27,8 @@ OPTIONAL = {
     "zeroconf": ("base_station/discovery.py", "robot_agent/announce.py"),
     "ifaddr": "robot_agent/announce.py",
     "matplotlib": "base_station/evaluation/thesis/plotting.py",
-    "pycolmap": None,
+    "pycolmap": "base_station/trackers/slam/libraries.py",
+    "gtsam": "base_station/trackers/slam/libraries.py",
     "nicegui": None,
 }
 """Heavy or optional modules, each imported in one place of a package at the most, lazily; None: not yet fixed where."""

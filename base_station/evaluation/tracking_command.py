@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import cv2
 import tyro
@@ -33,14 +33,12 @@ PLAIN_WIDTH = 120
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class EvaluateTracking:
     """Score a tracker on recorded sequences in OTB layout: success AUC, precision, time per frame.
 
     It learns the first true box. A picture in which it is LOST counts with the box that it gave last.
     """
 
-    kind: tyro.conf.Positional[Literal["tracking"]]
-    """tracking: img/*.jpg and groundtruth_rect.txt."""
     folder: tyro.conf.Positional[Path]
     """A sequence, or a folder of sequences."""
     tracker: Annotated[str, tyro.conf.arg(aliases=["-t"])] = DEFAULT_TRACKER
@@ -51,7 +49,7 @@ class Evaluate:
     """Write the scores to this file."""
 
 
-def evaluate(command: Evaluate) -> None:
+def evaluate_tracking(command: EvaluateTracking) -> None:
     """Measure, print, write. Raises StationError."""
     check_options(command.max_frames, command.json)
     recordings = find_sequences(command.folder, command.max_frames)

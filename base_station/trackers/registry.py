@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from base_station.trackers.base import Tracker
 
@@ -81,6 +82,12 @@ def _orb() -> Tracker:
     return OrbTracker()
 
 
+def _slam() -> Tracker:
+    from base_station.trackers.slam.tracker import SlamTracker
+
+    return SlamTracker()
+
+
 _LOADERS: dict[str, Callable[[], Tracker]] = {
     "ztransform": _ztransform,
     "z-shift": _z_shift,
@@ -92,6 +99,7 @@ _LOADERS: dict[str, Callable[[], Tracker]] = {
     "klt": _klt,
     "ecc": _ecc,
     "orb": _orb,
+    "slam": _slam,
 }
 
 
@@ -120,6 +128,20 @@ def _unknown_text(name: str) -> str:
 
 
 def _from_file(name: str) -> Tracker:
+    kind = class_in_file(name)
+    try:
+        made = kind()
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise ValueError(f"tracker {name!r}: {kind.__name__}() failed: {said}") from error
+    missing = [method for method in ("learn", "update", "close") if not callable(getattr(made, method, None))]
+    if missing:
+        raise ValueError(f"tracker {name!r}: {kind.__name__} is not a tracker: it has no method {', '.join(missing)}")
+    return made
+
+
+def class_in_file(name: str) -> type[Any]:
+    """The class that `path/to/file.py:ClassName` names. Raises ValueError, which says what is missing."""
     path_text, _, class_name = name.rpartition(":")
     path = Path(path_text)
     if not path.is_file():
@@ -133,14 +155,7 @@ def _from_file(name: str) -> Tracker:
         raise ValueError(
             f"tracker {name!r}: {path.name} has no class {class_name!r}; it has {', '.join(classes) or 'none'}"
         )
-    try:
-        made = kind()
-    except Exception as error:
-        raise ValueError(f"tracker {name!r}: {class_name}() failed: {type(error).__name__}: {error}") from error
-    missing = [method for method in ("learn", "update", "close") if not callable(getattr(made, method, None))]
-    if missing:
-        raise ValueError(f"tracker {name!r}: {class_name} is not a tracker: it has no method {', '.join(missing)}")
-    return made
+    return kind
 
 
 def _import(path: Path, name: str) -> ModuleType:

@@ -70,6 +70,13 @@ def _pyplot() -> Any:
 
 def save(plate: Plate, path: Path, palette: Palette, *, dpi: int, tidy: bool = True) -> None:
     """Draw the plate and write it as PNG. Not `tidy`: labels may collide, in half the time."""
+    draw_to(path, plate.draw, palette, size_in=plate.size_in, dpi=dpi, tidy=tidy)
+
+
+def draw_to(
+    path: Path, draw: Draw, palette: Palette, *, size_in: tuple[float, float], dpi: int, tidy: bool = True
+) -> None:
+    """Call `draw` with an empty figure in the palette's colours, and write it as PNG."""
     plt = _pyplot()
     style = {
         "figure.facecolor": palette.paper, "axes.facecolor": palette.paper, "savefig.facecolor": palette.paper,
@@ -83,9 +90,9 @@ def save(plate: Plate, path: Path, palette: Palette, *, dpi: int, tidy: bool = T
         "axes.prop_cycle": plt.cycler(color=palette.series),
     }  # fmt: skip
     with plt.rc_context(style):
-        figure = plt.figure(figsize=plate.size_in, layout="constrained" if tidy else None)
+        figure = plt.figure(figsize=size_in, layout="constrained" if tidy else None)
         try:
-            plate.draw(figure, palette)
+            draw(figure, palette)
             figure.savefig(path, dpi=dpi, metadata={"Software": None})
         finally:
             plt.close(figure)

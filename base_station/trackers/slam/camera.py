@@ -1,0 +1,112 @@
+"""The SLAM camera: a pinhole with radial-tangential distortion. Keypoints are undistorted once; all else is pinhole.
+
+The model is OpenCV's (Brown-Conrady): k1, k2, k3 radial, p1, p2 tangential. Pixel centres are at integer coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
+
+COEFFICIENTS = (0, 4, 5)
+"""How many distortion coefficients there may be: none, k1 k2 p1 p2, or k3 as the fifth."""
+SMALLEST_SIDE_PX = 64
+CORRECTIONS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamCamera:
+    """Size of the picture, focal lengths and principal point in px, `distortion` (k1, k2, p1, p2[, k3]).
+
+    Raises ValueError for what cannot be a camera: a picture below 64 px, a focal length that is not positive, a
+    principal point outside of the picture, numbers that are not finite, a wrong count of coefficients.
+    """
+
+    width_px: int
+    height_px: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if min(self.width_px, self.height_px) < SMALLEST_SIDE_PX:
+            raise ValueError(
+                f"a camera of {self.width_px}x{self.height_px} px: SLAM needs {SMALLEST_SIDE_PX} px at the least"
+            )
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy, *self.distortion))):
+            raise ValueError("a camera's numbers must be finite")
+        if min(self.fx, self.fy) <= 0:
+            raise ValueError(f"focal lengths must be positive: fx {self.fx}, fy {self.fy}")
+        if not (0 <= self.cx < self.width_px and 0 <= self.cy < self.height_px):
+            raise ValueError(f"the principal point ({self.cx}, {self.cy}) lies outside of the picture")
+        if len(self.distortion) not in COEFFICIENTS:
+            raise ValueError(f"distortion has {len(self.distortion)} numbers; it is k1 k2 p1 p2, and k3 where known")
+
+    @classmethod
+    def with_fov(cls, width_px: int, height_px: int, fov_rad: float = DEFAULT_FOV_RAD) -> SlamCamera:
+        """A camera that is not calibrated: square pixels, the axis through the middle, this horizontal field of view.
+
+        The default field of view, 62.2 degrees, is the Raspberry Pi camera 2's.
+        """
+        return cls.of(PinholeCamera.with_fov(width_px, height_px, fov_rad))
+
+    @classmethod
+    def of(cls, camera: PinholeCamera) -> SlamCamera:
+        """The same camera as the station's frames carry it; without distortion."""
+        return cls(
+            width_px=camera.width, height_px=camera.height, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy
+        )
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """3x3 calibration matrix."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def intrinsics(self) -> np.ndarray:
+        """(fx, fy, cx, cy) float64, as the compiled kernels take it."""
+        return np.array([self.fx, self.fy, self.cx, self.cy])
+
+    @cached_property
+    def bounds_px(self) -> np.ndarray:
+        """(left, top, right, bottom) of the undistorted picture: beyond, no keypoint can lie."""
+        right, bottom = self.width_px - 1.0, self.height_px - 1.0
+        if not self.distorts:
+            return np.array([0.0, 0.0, right, bottom])
+        steps = np.linspace(0.0, 1.0, 9)
+        border = [(x * right, y * bottom) for x in steps for y in steps if x in (0.0, 1.0) or y in (0.0, 1.0)]
+        seen = self.undistort(np.array(border, np.float32))
+        return np.concatenate([seen.min(axis=0), seen.max(axis=0)]).astype(np.float64)
+
+    @property
+    def distorts(self) -> bool:
+        return any(self.distortion)
+
+    def undistort(self, points_px: np.ndarray) -> np.ndarray:
+        """Where points (n, 2) of the picture would lie without distortion, float32 px."""
+        points_px = np.ascontiguousarray(points_px, np.float32)
+        if not self.distorts or not len(points_px):
+            return points_px
+        first = cv2.undistortPoints(points_px[:, None], self.matrix, np.array(self.distortion), None, self.matrix)
+        ideal = first[:, 0].astype(np.float64)
+        for _ in range(CORRECTIONS):  # OpenCV's five iterations leave some tenths of a px at the border of a wide lens
+            ideal += points_px - self.distort(ideal)
+        return ideal.astype(np.float32)
+
+    def distort(self, points_px: np.ndarray) -> np.ndarray:
+        """The way back: where the picture shows what an ideal pinhole sees at these points (n, 2), float64 px."""
+        points_px = np.asarray(points_px, np.float64)
+        if not self.distorts or not len(points_px):
+            return points_px
+        rays = np.ones((len(points_px), 3))
+        rays[:, :2] = (points_px - (self.cx, self.cy)) / (self.fx, self.fy)
+        seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
+        return seen[:, 0]

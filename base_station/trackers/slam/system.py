@@ -1,0 +1,364 @@
+"""The SLAM system as the outside sees it: pictures in, poses out; a map and a trajectory at the end.
+
+`track` is one picture's way: features; then, without a map, initialization; with one, tracking, and relocalization
+when that fails; then the keyframe decision. All that changes the map happens at the mapper's.
+"""
+
+from __future__ import annotations
+
+import time
+import weakref
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+
+import numpy as np
+
+from base_station.trackers.slam import libraries
+from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.features import FeatureExtractor, Features
+from base_station.trackers.slam.initialization import Initializer
+from base_station.trackers.slam.keyframe_decision import wants_keyframe
+from base_station.trackers.slam.map import NONE, Map, MapUpdate
+from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap
+from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, MapperProcess
+from base_station.trackers.slam.matching import Grid
+from base_station.trackers.slam.rehearsal import rehearse_tracking
+from base_station.trackers.slam.relocalization import Places
+from base_station.trackers.slam.se3 import inverse, orthonormal
+from base_station.trackers.slam.settings import SlamSettings
+from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
+from base_station.trackers.slam.types import SlamFrame, SlamStatistics
+from base_station.types import TrackingState
+
+__all__ = ["SlamCamera", "SlamFrame", "SlamSettings", "SlamStatistics", "SlamSystem"]
+
+FIRST_MAP_WITHIN_S = 0.2
+FINISH_WITHIN_S = 120.0
+MOST_FIRST_TRIES = 5
+
+
+@dataclass
+class _Counts:
+    frames: int = 0
+    tracked: int = 0
+    loops: int = 0
+    merges: int = 0
+    relocalizations: int = 0
+    timings_ms: dict[str, list[float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Tracked:
+    """A frame's pose against its keyframe, of `size` then (`Map.sizes`)."""
+
+    time_s: float
+    reference: int
+    cam_from_reference: np.ndarray
+    size: float
+
+
+class SlamSystem:
+    """Monocular SLAM. A context manager: `close()` ends the mapper's process.
+
+    `single_process`: the mapper works within `track`; the same pictures then give the same poses, for any machine load.
+    `seed`: of the random choices when places are compared. `mapper_at_once`: wait for the mapper's process now; if
+    not, it starts with the first points, and the first map is some seconds late.
+    Raises StationError when pycolmap or gtsam is missing, or the mapper's process does not start.
+    """
+
+    def __init__(
+        self,
+        camera: SlamCamera,
+        *,
+        settings: SlamSettings | None = None,
+        single_process: bool = False,
+        seed: int = 0,
+        mapper_at_once: bool = True,
+    ) -> None:
+        libraries.gtsam()
+        settings = settings or SlamSettings()
+        loops = replace(settings.loops, sim3=replace(settings.loops.sim3, seed=seed))
+        self.settings = settings = replace(settings, loops=loops)
+        self._camera = camera
+        self._extract = FeatureExtractor(camera, settings.features)
+        self._map = Map(settings.features.count, self._extract.scales)
+        self._places = Places(self._map, settings.places)
+        self._initializer = Initializer(camera, self._extract.scales, settings.initializer)
+        self._tracker = FrameTracker(camera, self._map, settings.tracking)
+        self._link: MapperLink = (
+            MapperHere(camera, settings) if single_process else MapperProcess(camera, settings, at_once=mapper_at_once)
+        )
+        rehearse_tracking()
+        self._next_row = self._next_component = 0
+        self._component = NONE
+        """The map that is used now."""
+        self._awaited: NewMap | None = None
+        self._first: int | None = None
+        """Of a map that has just begun, the keyframe to find the next picture by."""
+        self._keyframe_frame = 0
+        self._last_located_s = self._lost_since_s = 0.0
+        self._lost_frames = 0
+        self.last_picture: Picture | None = None
+        """The last picture that could be looked at, with its features and the map points that they show."""
+        self._trajectory: list[_Tracked] = []
+        self._counts = _Counts()
+        self._end = weakref.finalize(self, self._link.close)
+
+    # --- pictures ---------------------------------------------------------------------------------------------------
+
+    def track(self, image: np.ndarray, time_s: float) -> SlamFrame:
+        """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason."""
+        self._counts.frames += 1
+        self.last_picture = None
+        began = time.perf_counter()
+        self._take(self._link.receive())
+        self._time("updates", began)
+        wrong = self._wrong(image)
+        if wrong:
+            return self._lost(time_s, wrong)
+        began = time.perf_counter()
+        features = self._extract(image)
+        picture = Picture(time_s, features, Grid.of(features.xy_px, self._camera.bounds_px))
+        self.last_picture = picture
+        self._time("features", began)
+        began = time.perf_counter()
+        found = self._locate(picture)
+        self._time("tracking", began)
+        return self._lost(time_s, found) if isinstance(found, str) else self._located(picture, found)
+
+    def _wrong(self, image: np.ndarray) -> str:
+        if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
+            return "not a gray picture of 8 bits"
+        if image.shape != (self._camera.height_px, self._camera.width_px):
+            size = f"{self._camera.width_px}x{self._camera.height_px}"
+            return f"a picture of {image.shape[1]}x{image.shape[0]} px, the camera has {size}"
+        return ""
+
+    def _locate(self, picture: Picture) -> Located | str:
+        """Where the picture was taken: after the last one; at a place in any map; or as the second of a new map."""
+        reason = "no map yet"
+        if self._first is not None:
+            found = self._by_first_keyframe(picture)
+            if not isinstance(found, str):
+                return found
+        if self._component != NONE:
+            lost_s = picture.time_s - self._last_located_s
+            if lost_s <= self.settings.atlas.near_s or not self._lost_frames:
+                found = self._tracker.follow(picture)
+                if not isinstance(found, str):
+                    return found
+                reason = found
+            if self._worth_keeping():
+                found = self._relocalize(picture)
+                if not isinstance(found, str):
+                    return found
+            if self._lost_frames and picture.time_s - self._lost_since_s < self.settings.atlas.new_map_after_s:
+                return reason
+            if not self._lost_frames:
+                return reason
+        return self._begin(picture)
+
+    def _worth_keeping(self) -> bool:
+        """Whether the map in use is large enough; if not, it is forgotten when it has been lost for some frames."""
+        if len(self._map.keyframes_alive(self._component)) >= self.settings.atlas.least_keyframes:
+            return True
+        if self._lost_frames >= 3 and not self._link.waiting():
+            self._link.send(Forget(self._component))
+            self._tracker.forget()
+            self._component = NONE
+        return False
+
+    def _relocalize(self, picture: Picture) -> Located | str:
+        for keyframe in self._places.candidates(self._places.words(picture.features)):
+            found = self._tracker.locate_by(picture, keyframe)
+            if not isinstance(found, str):
+                self._counts.relocalizations += 1
+                return found
+        return "no place is recognised"
+
+    def _begin(self, picture: Picture) -> Located | str:
+        if self._awaited is None:
+            pair = self._initializer(picture.time_s, picture.features, picture.grid)
+            if isinstance(pair, str):
+                return pair
+            self._initializer.reset()
+            rows = self._next_row, self._next_row + 1
+            words = self._places.words(pair.features[0]), self._places.words(pair.features[1])
+            self._awaited = NewMap(pair, rows, words, self._next_component)
+            self._next_row, self._next_component = self._next_row + 2, self._next_component + 1
+            self._map.features.update(zip(rows, pair.features, strict=True))
+            for row, of_row in zip(rows, words, strict=True):
+                self._places.add(row, of_row)
+            self._link.send(self._awaited)
+            self._take(self._link.receive(FIRST_MAP_WITHIN_S))
+        if self._awaited is not None:
+            return "the mapper works on the first points"
+        return "the first points do not hold" if self._first is None else self._by_first_keyframe(picture)
+
+    def _by_first_keyframe(self, picture: Picture) -> Located | str:
+        """In a map that has just begun there is no last picture yet."""
+        assert self._first is not None
+        found = self._tracker.locate_by(picture, self._first)
+        if not isinstance(found, str) or self._lost_frames > MOST_FIRST_TRIES:
+            self._first = None
+        return found
+
+    def _located(self, picture: Picture, found: Located) -> SlamFrame:
+        self._tracker.remember(picture, found, moving=not self._lost_frames)
+        self._component = int(self._map.component[found.reference])
+        self._last_located_s, self._lost_frames = picture.time_s, 0
+        self._counts.tracked += 1
+        self._initializer.reset()
+        reference = found.reference
+        relative = orthonormal(found.cam_from_world @ inverse(self._map.poses[reference]))
+        where = _Tracked(picture.time_s, reference, relative, float(self._map.sizes[reference]))
+        self._trajectory.append(where)
+        kept = wants_keyframe(
+            self.settings.keyframes,
+            frames_since=self._counts.frames - self._keyframe_frame,
+            matches=found.matches,
+            share=self._share_seen(picture, reference),
+            waiting=self._link.waiting(),
+        )
+        if kept:
+            self._keep(picture, where)
+        return SlamFrame(TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches)
+
+    def _share_seen(self, picture: Picture, reference: int) -> float:
+        """Of the points that the reference keyframe sees surely, those that the picture sees."""
+        world = self._map
+        mine = world.point_of[reference]
+        mine = mine[mine >= 0]
+        sure = mine[world.point_alive[mine] & (world.observed[mine] >= 3)]
+        if len(sure) < self.settings.keyframes.least_matches:
+            sure = mine
+        return float(np.isin(sure, picture.point_of).mean()) if len(sure) else 0.0
+
+    def _keep(self, picture: Picture, where: _Tracked) -> None:
+        row, self._next_row = self._next_row, self._next_row + 1
+        self._keyframe_frame = self._counts.frames
+        self._map.features[row] = picture.features
+        words = self._places.words(picture.features)
+        self._places.add(row, words)
+        self._link.send(
+            NewKeyframe(
+                row,
+                picture.time_s,
+                picture.features,
+                picture.point_of.copy(),
+                where.reference,
+                where.cam_from_reference,
+                where.size,
+                words,
+                *self._tracker.take_counts(),
+            )
+        )
+
+    def _lost(self, time_s: float, reason: str) -> SlamFrame:
+        self._tracker.stopped()
+        if self._component == NONE:
+            self._lost_frames = 0
+            return SlamFrame(TrackingState.INITIALIZING, reason=reason)
+        if not self._lost_frames:
+            self._lost_since_s = time_s
+        self._lost_frames += 1
+        return SlamFrame(TrackingState.LOST, reason=reason)
+
+    def _take(self, updates: list[MapUpdate]) -> None:
+        """Bring the tracker's copy of the map up to date."""
+        for update in updates:
+            self._map.apply(update)
+            if update.event in ("loop", "merge"):
+                self._tracker.stopped()
+                self._counts.loops += update.event == "loop"
+                self._counts.merges += update.event == "merge"
+            if self._awaited is not None and update.event in ("new map", "forgotten map"):
+                if update.event == "new map":
+                    self._component, self._first = self._awaited.component, self._awaited.rows[1]
+                    self._tracker.forget()
+                    self._keyframe_frame = self._counts.frames
+                self._awaited = None
+            for stage, took_ms in update.timings_ms.items():
+                self._counts.timings_ms.setdefault(f"mapper: {stage}", []).append(took_ms)
+        if updates:
+            self._places.tidy()
+
+    def _time(self, stage: str, began: float) -> None:
+        self._counts.timings_ms.setdefault(stage, []).append((time.perf_counter() - began) * 1e3)
+
+    def features_of(self, image: np.ndarray) -> Features:
+        """The features of a picture, which is not tracked."""
+        return self._extract(image)
+
+    @property
+    def map(self) -> Map:
+        """The tracker's copy of the map: to be read between two calls of `track`."""
+        return self._map
+
+    @property
+    def component(self) -> int:
+        """Which map of the atlas is in use; -1: none yet."""
+        return self._component
+
+    @property
+    def reference(self) -> int:
+        """The keyframe that shares most with the last tracked picture; -1 before the first."""
+        return self._trajectory[-1].reference if self._trajectory else NONE
+
+    # --- the end ----------------------------------------------------------------------------------------------------
+
+    def finish(self) -> None:
+        """Let the mapper work off its queue; then `trajectory` and `keyframes` are final."""
+        deadline_s = time.monotonic() + FINISH_WITHIN_S
+        while self._link.waiting() and time.monotonic() < deadline_s:
+            self._take(self._link.receive(0.5))
+        self._take(self._link.receive())
+
+    def _largest(self) -> int:
+        component = self._map.component[self._map.keyframes_alive()]
+        return int(np.bincount(component).argmax()) if len(component) else NONE
+
+    def trajectory(self) -> list[tuple[float, np.ndarray]]:
+        """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose."""
+        largest = self._largest()
+        return [
+            (one.time_s, inverse(self._map.pose_by(one.reference, one.cam_from_reference, one.size)))
+            for one in self._trajectory
+            if self._map.component[one.reference] == largest
+        ]
+
+    def keyframes(self) -> list[tuple[float, np.ndarray]]:
+        """(time_s, world_from_cam 4x4) of the largest map's keyframes."""
+        rows = self._map.keyframes_alive(self._largest())
+        return [(float(self._map.time_s[row]), inverse(self._map.poses[row])) for row in rows]
+
+    def points(self) -> np.ndarray:
+        """(n, 3) points of the largest map, metres up to scale."""
+        return self._map.xyz[self._map.points_alive(self._largest())]
+
+    def statistics(self) -> SlamStatistics:
+        """Counts so far."""
+        alive = self._map.keyframes_alive()
+        return SlamStatistics(
+            frames=self._counts.frames,
+            tracked=self._counts.tracked,
+            keyframes=len(alive),
+            points=len(self._map.points_alive()),
+            maps=len(np.unique(self._map.component[alive])),
+            loops=self._counts.loops,
+            merges=self._counts.merges,
+            relocalizations=self._counts.relocalizations,
+            timings_ms=self._counts.timings_ms,
+        )
+
+    def close(self) -> None:
+        """End the mapper's process. May be called twice."""
+        self._end()
+
+    def __enter__(self) -> SlamSystem:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

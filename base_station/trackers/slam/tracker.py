@@ -1,0 +1,135 @@
+"""SLAM as a tracker: a target is remembered in the map, and its bearing and zoom follow from the camera's pose.
+
+A monocular map needs some centimetres of motion before it exists, and a target is wanted at once. Until the map knows
+the target, and whenever it is lost, the learned picture's features are looked for in the picture itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
+from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
+from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.features import Features
+from base_station.trackers.slam.matching import match_everywhere
+from base_station.trackers.slam.system import SlamSettings, SlamSystem
+from base_station.trackers.slam.target import MapTarget, place_in_map, result_of
+from base_station.types import Box, Frame, TrackerResult, TrackingState
+
+SURE_MATCHES = 150
+"""Map points seen, from which on a pose could not be surer."""
+LEAST_AGREEING = 0.25
+"""Of the matches with the learned picture, that must agree on one similarity."""
+PLACE_EVERY = 5
+"""Frames between two attempts to place the target in the map."""
+
+
+class SlamTracker(PatchTracker):
+    """See `base.Tracker`. The map outlives `learn`: only a camera of another kind begins a new one.
+
+    `single_process`: the mapper works within `update`, which then takes longer; for tests and replays.
+    """
+
+    def __init__(self, *, settings: SlamSettings | None = None, single_process: bool = False) -> None:
+        super().__init__()
+        self._settings, self._single_process = settings, single_process
+        self._slam: SlamSystem | None = None
+        self._camera: SlamCamera | None = None
+        self._extract: Callable[[np.ndarray], Features]
+        self._features: Features | None = None
+        self._in_box: np.ndarray = np.empty(0, np.bool_)
+        self._learned_center = (0.0, 0.0)
+        self._target: MapTarget | None = None
+        self._frames = 0
+
+    @property
+    def slam(self) -> SlamSystem | None:
+        """The system beneath, once something has been learned."""
+        return self._slam
+
+    def learn(self, frame: Frame, target: Box | None) -> None:
+        """Remember the target. Raises ValueError as `base.Tracker.learn` does."""
+        camera = SlamCamera.of(frame.camera)
+        if frame.image.shape != (camera.height_px, camera.width_px):
+            raise ValueError("the frame has another size than its camera")
+        slam = self._slam
+        if slam is None or camera != self._camera:
+            slam = SlamSystem(
+                camera, settings=self._settings, single_process=self._single_process, mapper_at_once=False
+            )
+        self._extract = slam.features_of
+        try:
+            super().learn(frame, target)
+        except ValueError:
+            if slam is not self._slam:
+                slam.close()
+            raise
+        if slam is not self._slam:
+            self._end_mapper()
+            self._slam, self._camera = slam, camera
+        self._target, self._frames = None, 0
+
+    def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
+        features = self._extract(image)
+        half_px = np.array(learned.shape[::-1]) / 2
+        in_box = np.all(np.abs(features.xy_px - learned.center_px) <= half_px, axis=1)
+        if int(in_box.sum()) < LEAST_INLIERS:
+            raise ValueError(f"featureless: fewer than {LEAST_INLIERS} ORB corners")
+        self._features, self._in_box, self._learned_center = features, in_box, learned.center_px
+
+    def update(self, frame: Frame) -> TrackerResult:
+        """See `base.Tracker.update`."""
+        slam, learned = self._slam, self._learned
+        if slam is None or learned is None:
+            return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
+        seen = slam.track(frame.image, frame.time_s)
+        self._frames += 1
+        if seen.cam_from_world is not None:
+            self._place(slam)
+            if self._target is not None:
+                confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
+                return result_of(self._target, slam.map, seen.cam_from_world, learned, frame.camera, confidence)
+        return super().update(frame)
+
+    def _place(self, slam: SlamSystem) -> None:
+        """Give the target its place in the map, where the map shows enough of it; and anew when the map has changed."""
+        picture = slam.last_picture
+        if self._features is None or self._camera is None or picture is None:
+            return
+        world = slam.map
+        if self._target is not None and world.alive[world.living(self._target.keyframe)]:
+            if world.component[world.living(self._target.keyframe)] == slam.component:
+                return
+            self._target = None
+        if self._frames % PLACE_EVERY == 1:
+            self._target = place_in_map(
+                world, slam.reference, self._features, self._in_box, self._learned_center, picture, self._camera
+            )
+
+    def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
+        """In the picture itself, while the map cannot say."""
+        picture = None if self._slam is None else self._slam.last_picture
+        if self._features is None or picture is None or len(picture.features) < LEAST_INLIERS:
+            return Missed("the target is hidden or gone (no corners in the picture)")
+        mine = self._features.part(np.flatnonzero(self._in_box))
+        matches = match_everywhere(mine.descriptors, mine.angle_deg, picture.features, most=64, ratio=0.8)
+        rows = np.flatnonzero(matches >= 0)
+        motion = fit_similarity(mine.xy_px[rows], picture.features.xy_px[matches[rows]])
+        if motion is None or motion.inliers < LEAST_AGREEING * len(rows):
+            return Missed(f"the target is hidden or gone ({len(rows)} of {len(mine)} corners matched)")
+        x, y = motion.moved(*learned.center_px)
+        return Found(x=x, y=y, zoom=motion.zoom, confidence=motion.inliers / len(rows))
+
+    def _end_mapper(self) -> None:
+        if self._slam is not None:
+            self._slam.close()
+            self._slam = None
+
+    def close(self) -> None:
+        """End the mapper and let go of what was learned."""
+        super().close()
+        self._end_mapper()

@@ -1,0 +1,75 @@
+"""The pose from known points: exact, with noise, with outliers; and compiled against plain numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from base_station.trackers.slam.pose_optimization import optimize_pose, optimize_pose_reference
+from base_station.trackers.slam.se3 import compose, exponential, inverse, rotation_angle_rad
+from tests.base_station.trackers.slam.scene import INTRINSICS, box_of_points, motion, project
+
+RNG = np.random.default_rng(5)
+POINTS = box_of_points(RNG, 200)
+TRUTH = motion(RNG, 0.4, 0.3)
+SEEN = project(TRUTH, POINTS)
+
+
+def errors(pose: np.ndarray) -> tuple[float, float]:
+    off = pose @ inverse(TRUTH)
+    return float(np.linalg.norm(off[:3, 3])), rotation_angle_rad(off)
+
+
+def test_exact():
+    fit = optimize_pose(np.eye(4), POINTS, SEEN, np.ones(200), INTRINSICS)
+    assert max(errors(fit.cam_from_world)) < 1e-6
+    assert fit.inliers.all()
+
+
+def test_noise_gives_the_error_that_it_says_it_has():
+    rng = np.random.default_rng(6)
+    runs = [
+        optimize_pose(np.eye(4), POINTS, SEEN + rng.normal(0, 1, SEEN.shape), np.ones(200), INTRINSICS)
+        for _ in range(40)
+    ]
+    off = np.array([run.cam_from_world @ inverse(TRUTH) for run in runs])[:, :3, 3]
+    said = np.mean([run.spread[:3] for run in runs], axis=0)
+    assert np.all(off.std(axis=0) < 1.5 * said)
+    assert np.all(off.std(axis=0) > 0.6 * said)
+    assert 1.4 < np.mean([run.error_px2 for run in runs]) < 2.0  # two numbers of variance one, the tail cut at 5.99
+
+
+def test_a_third_of_outliers_is_found_and_left_out():
+    rng = np.random.default_rng(7)
+    seen = SEEN + rng.normal(0, 0.5, SEEN.shape)
+    wrong = rng.choice(200, 66, replace=False)
+    seen[wrong] += rng.uniform(15, 80, (66, 2)) * rng.choice([-1, 1], (66, 2))
+    fit = optimize_pose(TRUTH @ exponential(np.full(6, 0.03)), POINTS, seen, np.ones(200), INTRINSICS)
+    assert not fit.inliers[wrong].any()
+    assert 125 <= fit.inliers.sum() <= 134
+    assert errors(fit.cam_from_world)[0] < 0.01
+    assert errors(fit.cam_from_world)[1] < 0.003
+
+
+def test_compiled_is_what_plain_numpy_finds():
+    rng = np.random.default_rng(8)
+    sigma = 1.2 ** rng.integers(0, 8, 200)
+    seen = SEEN + rng.normal(0, 0.2, SEEN.shape) * sigma[:, None]
+    fit = optimize_pose(np.eye(4), POINTS, seen, sigma, INTRINSICS)
+    plain = optimize_pose_reference(np.eye(4), POINTS, seen, sigma, INTRINSICS)
+    assert fit.inliers.all()
+    assert np.abs(fit.cam_from_world - plain).max() < 1e-4
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_too_few_points_give_the_guess_back_without_inliers(count):
+    fit = optimize_pose(np.eye(4), POINTS[:count], SEEN[:count], np.ones(count), INTRINSICS)
+    assert np.array_equal(fit.cam_from_world, np.eye(4))
+    assert fit.inliers.sum() == 0
+
+
+def test_exponential_and_compose_are_numpys():
+    one, two = motion(RNG, 1.0, 1.0), motion(RNG, 2.0, 0.5)
+    assert np.allclose(compose(one, two), one @ two, atol=1e-12)
+    assert np.allclose(exponential(np.zeros(6)), np.eye(4))
+    assert rotation_angle_rad(exponential(np.array([0, 0, 0, 0.3, 0.4, 0.0]))) == pytest.approx(0.5)

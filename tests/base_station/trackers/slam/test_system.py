@@ -1,0 +1,148 @@
+"""The whole system in a rendered room: it follows, says LOST and not a wild pose, and finds itself again."""
+
+from __future__ import annotations
+
+import multiprocessing
+
+import numpy as np
+import pytest
+
+from base_station.trackers.slam.features import FeatureSettings
+from base_station.trackers.slam.se3 import rotation_angle_rad
+from base_station.trackers.slam.sim3 import align, transform
+from base_station.trackers.slam.system import SlamSettings, SlamSystem
+from base_station.types import TrackingState
+from tests.base_station.trackers.slam.room import Room, small_camera, standing
+
+CAMERA = small_camera()
+ROOM = Room(CAMERA)
+SETTINGS = SlamSettings(features=FeatureSettings(count=600))
+ALONG = [standing(-0.6 + 0.03 * k, -1.0 + 0.1 * np.sin(k / 6), 0.5 + 0.004 * k, 0.1 * np.cos(k / 5)) for k in range(50)]
+FRAME_S = 1 / 30
+
+
+def drive(slam: SlamSystem, poses: list[np.ndarray], start_s: float = 0.0, light: float = 1.0) -> list:
+    pictures = (np.clip(ROOM.picture(pose) * light, 0, 255).astype(np.uint8) for pose in poses)
+    return [slam.track(picture, start_s + k * FRAME_S) for k, picture in enumerate(pictures)]
+
+
+def start(single_process: bool = True) -> SlamSystem:
+    return SlamSystem(CAMERA, settings=SETTINGS, single_process=single_process)
+
+
+def errors(slam: SlamSystem, poses: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Of every frame of the trajectory: metres off, when it is aligned with the truth, and by how many radians it has
+    turned too much or too little against the last."""
+    trajectory = slam.trajectory()
+    truth = np.array([poses[round(time_s / FRAME_S)] for time_s, _ in trajectory])
+    found = np.array([pose for _, pose in trajectory])
+    world_from_map = align(found[:, :3, 3], truth[:, :3, 3])
+    metres = np.linalg.norm(transform(world_from_map, found[:, :3, 3]) - truth[:, :3, 3], axis=1)
+    turns = [(one[-1, :3, :3].T @ pose[:3, :3]) for one in (found, truth) for pose in one]
+    n = len(found)
+    return metres, np.array([rotation_angle_rad(turns[k].T @ turns[n + k]) for k in range(n)])
+
+
+def test_it_follows_and_is_the_same_every_time():
+    runs = []
+    for _ in range(2):
+        with start() as slam:
+            frames = drive(slam, ALONG)
+            slam.finish()
+            runs.append(slam.trajectory())
+            states = [frame.state for frame in frames]
+            first = states.index(TrackingState.TRACKING)
+            assert first < 15
+            assert set(states[first:]) == {TrackingState.TRACKING}
+            metres, radians = errors(slam, ALONG)
+            assert 1e-6 < np.sqrt(np.mean(metres**2)) < 0.04
+            assert metres[-20:].max() < 0.025
+            assert radians[10:].max() < 0.04
+            counts = slam.statistics()
+            assert counts.frames == 50
+            assert counts.tracked == len(slam.trajectory()) == 50 - first
+            assert counts.keyframes == len(slam.keyframes()) >= 3
+            assert counts.points == len(slam.points()) > 150
+            assert counts.maps == 1
+    assert all(np.array_equal(one, two) for (_, one), (_, two) in zip(*runs, strict=True))
+
+
+def test_covered_carried_away_and_found_again():
+    elsewhere = standing(-0.3, -0.9, 0.52)
+    with start() as slam:
+        drive(slam, ALONG)
+        covered = [slam.track(np.zeros((240, 320), np.uint8), 2.0 + k * FRAME_S) for k in range(10)]
+        assert {frame.state for frame in covered} == {TrackingState.LOST}
+        assert all(frame.cam_from_world is None and frame.reason for frame in covered)
+        found = [slam.track(ROOM.picture(elsewhere), 60.0 + k * FRAME_S) for k in range(10)]
+        assert found[-1].state is TrackingState.TRACKING
+        slam.finish()
+        times, poses = zip(*slam.trajectory(), strict=True)
+        truth = [ALONG[round(time_s / FRAME_S)] if time_s < 50 else elsewhere for time_s in times]
+        there, here = (np.array([pose[:3, 3] for pose in poses]) for poses in (truth, poses))
+        assert np.linalg.norm(transform(align(here, there), here) - there, axis=1)[10:].max() < 0.06
+        counts = slam.statistics()
+        assert counts.relocalizations >= 1
+        assert counts.maps == 1
+
+
+def test_light_to_a_third_and_back():
+    with start() as slam:
+        drive(slam, ALONG[:40])
+        dark = drive(slam, ALONG[40:45], 40 * FRAME_S, light=0.33)
+        again = drive(slam, ALONG[45:], 45 * FRAME_S)
+        assert again[-1].state is TrackingState.TRACKING
+        assert all(frame.state is TrackingState.TRACKING or frame.reason for frame in dark)
+        assert errors(slam, ALONG)[0][10:].max() < 0.05
+
+
+def test_a_camera_that_only_turns_makes_no_map():
+    with start() as slam:
+        frames = drive(slam, [standing(0.0, 0.0, 0.03 * k) for k in range(30)])
+        assert {frame.state for frame in frames} == {TrackingState.INITIALIZING}
+        assert slam.trajectory() == []
+        assert slam.keyframes() == []
+        assert slam.points().shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((0, 0), np.uint8), np.zeros((240, 321), np.uint8), np.zeros((240, 320, 3), np.uint8),
+        np.zeros((240, 320), np.float32), np.zeros((240, 320), np.uint8), np.full((240, 320), 255, np.uint8), None,
+    ],
+)  # fmt: skip
+def test_bad_pictures_are_said_and_lose_nothing(slam_that_tracks, picture):
+    slam = slam_that_tracks
+    keyframes = slam.statistics().keyframes
+    bad = slam.track(picture, 100.0)
+    assert bad.state is TrackingState.LOST
+    assert bad.reason
+    good = slam.track(ROOM.picture(ALONG[-1]), 100.0)
+    assert good.state is TrackingState.TRACKING
+    assert slam.statistics().keyframes >= keyframes
+
+
+@pytest.fixture(scope="module")
+def slam_that_tracks():
+    with start() as slam:
+        drive(slam, ALONG)
+        yield slam
+
+
+def test_with_the_mapper_in_a_process_of_its_own_which_ends():
+    before = set(multiprocessing.active_children())
+    slam = start(single_process=False)
+    mapper = (set(multiprocessing.active_children()) - before).pop()
+    try:
+        frames = drive(slam, ALONG)
+        assert frames[-1].state is TrackingState.TRACKING
+        slam.finish()
+        metres, _ = errors(slam, ALONG)
+        assert np.sqrt(np.mean(metres**2)) < 0.04
+        assert len(slam.keyframes()) >= 3
+    finally:
+        slam.close()
+        slam.close()
+    assert not mapper.is_alive()
+    assert mapper.exitcode == 0
