@@ -15,6 +15,8 @@ import signal
 import threading
 from typing import Any, Protocol
 
+from threadpoolctl import threadpool_limits
+
 from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import MapUpdate
@@ -24,7 +26,8 @@ from base_station.trackers.slam.settings import SlamSettings
 
 END_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.5
-READY_WITHIN_S = 90.0
+READY_WITHIN_S = 90
+READY_LOOKS = int(READY_WITHIN_S / LOOK_EVERY_S)
 READY = "ready"
 Work = NewMap | NewKeyframe | Forget
 
@@ -40,6 +43,10 @@ class MapperLink(Protocol):
 
     def waiting(self) -> int:
         """Pieces of work that are not finished."""
+        ...
+
+    def alive(self) -> bool:
+        """Whether unfinished work will be."""
         ...
 
     def close(self) -> None: ...
@@ -61,6 +68,9 @@ class MapperHere:
 
     def waiting(self) -> int:
         return 0
+
+    def alive(self) -> bool:
+        return True
 
     def close(self) -> None:
         pass
@@ -98,11 +108,18 @@ class MapperProcess:
         self._started = True
 
     def _wait_until_ready(self) -> None:
-        try:
-            self._updates.get(timeout=READY_WITHIN_S)
-        except queue.Empty:
-            self.close()
-            raise StationError("SLAM's mapper did not start within 90 s: is the machine overloaded?") from None
+        for _ in range(READY_LOOKS):
+            with contextlib.suppress(queue.Empty):
+                self._updates.get(timeout=LOOK_EVERY_S)
+                return
+            if not self._process.is_alive():
+                self.close()
+                raise StationError(
+                    "SLAM's mapper ended as it started. A program that uses SlamSystem must start under "
+                    "`if __name__ == '__main__':`, because the mapper's process imports it again."
+                )
+        self.close()
+        raise StationError(f"SLAM's mapper did not start within {READY_WITHIN_S} s: is the machine overloaded?")
 
     def send(self, work: Work) -> None:
         if not self._started:
@@ -148,6 +165,7 @@ class MapperProcess:
 
 def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
+    threadpool_limits(1)  # for systems of some hundred unknowns a pool of threads only spins, on the tracker's core
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     rehearse_mapping()
     mapper = Mapper(camera, settings)

@@ -310,7 +310,7 @@ class SlamSystem:
     def finish(self) -> None:
         """Let the mapper work off its queue; then `trajectory` and `keyframes` are final."""
         deadline_s = time.monotonic() + FINISH_WITHIN_S
-        while self._link.waiting() and time.monotonic() < deadline_s:
+        while self._link.waiting() and self._link.alive() and time.monotonic() < deadline_s:
             self._take(self._link.receive(0.5))
         self._take(self._link.receive())
 

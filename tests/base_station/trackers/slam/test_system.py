@@ -162,3 +162,18 @@ def test_with_the_mapper_in_a_process_of_its_own_which_ends():
         slam.close()
     assert not mapper.is_alive()
     assert mapper.exitcode == 0
+
+
+def test_a_mapper_that_dies_ends_neither_tracking_nor_the_end():
+    slam = start(single_process=False)
+    mapper = multiprocessing.active_children()[-1]
+    try:
+        drive(slam, ALONG[:20])
+        mapper.kill()
+        mapper.join(5)
+        frames = drive(slam, ALONG[20:25], 20 * FRAME_S)
+        assert frames[-1].state is TrackingState.TRACKING  # in the map that there was
+        slam.finish()
+        assert len(slam.trajectory()) > 5
+    finally:
+        slam.close()
