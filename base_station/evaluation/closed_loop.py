@@ -70,6 +70,12 @@ class Summary:
     view_angle_estimate_error_deg_rms: float | None
     range_estimate_error_rel_rms: float | None
     """Reported against true distance, where the scale is known."""
+    compass_error_deg_rms: float | None
+    """Heading since learning as the tracker's compass has it, against the true one; in all states."""
+    compass_error_without_pose_deg_rms: float | None
+    """The same, of the frames without `cam_from_world`."""
+    compass_share: float | None
+    """Of the frames since learning, those in which the compass knew the heading; None for a tracker without one."""
     settled_s: float | None
     """From learning (or from when the robot was set down) until within 1 cm and 0.5 degrees for good."""
     lost_said_after_s: float | None
@@ -220,6 +226,9 @@ class LoopLog:
             final_heading_error_deg=_mean_abs(_against(final, learned, pose_errors.heading_error_rad), math.degrees(1)),
             view_angle_estimate_error_deg_rms=_rms(_view_angle_errors_deg(settled, learned)),
             range_estimate_error_rel_rms=_rms(_range_errors(settled)),
+            compass_error_deg_rms=_rms(_compass_errors_deg(rows, learned)),
+            compass_error_without_pose_deg_rms=_rms(_compass_errors_deg(rows, learned, without_pose=True)),
+            compass_share=_compass_share(rows),
             settled_s=_settled_s(rows, learned_range_m),
             lost_said_after_s=said_s,
             lost_reason=reason,
@@ -312,6 +321,21 @@ def _view_angle_errors_deg(rows: list[_Row], learned: Truth | None) -> list[floa
         return []
     pairs = [(row.seen.result.view_angle_rad, pose_errors.view_angle_rad(row.truth, learned)) for row in rows]
     return [math.degrees(seen - true) for seen, true in pairs if seen is not None and true is not None]
+
+
+def _compass_errors_deg(rows: list[_Row], learned: Truth | None, *, without_pose: bool = False) -> list[float]:
+    if learned is None:
+        return []
+    return [
+        math.degrees(math.remainder(seen.compass_rad + row.truth.robot[2] - learned.robot[2], 2 * math.pi))
+        for row in rows
+        if (seen := row.seen.result).compass_rad is not None and not (without_pose and seen.cam_from_world is not None)
+    ]
+
+
+def _compass_share(rows: list[_Row]) -> float | None:
+    known = [row.seen.result.compass_rad is not None for row in rows]
+    return _rounded(float(np.mean(known))) if any(known) else None
 
 
 def _range_errors(rows: list[_Row]) -> list[float]:
