@@ -5,6 +5,7 @@ The truth comes from the simulator's telemetry and is used here only, after the 
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -13,8 +14,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from base_station.evaluation import pose_errors
+from base_station.evaluation import drive_errors, pose_errors
 from base_station.station import Step
+from base_station.trackers.base import Survey
 from base_station.types import TrackerResult, TrackingState
 from protocol import Telemetry, Truth
 
@@ -76,6 +78,19 @@ class Summary:
     """The same, of the frames without `cam_from_world`."""
     compass_share: float | None
     """Of the frames since learning, those in which the compass knew the heading; None for a tracker without one."""
+    path_m: float | None
+    """Truly driven since learning."""
+    laps: int | None
+    """Driven to their end, with behaviour route."""
+    loops_closed: int | None
+    """By a tracker that maps; so are the next ones."""
+    keyframes: int | None
+    maps: int | None
+    trajectory_share: float | None
+    """Of the frames since learning, those with a pose in the largest map."""
+    ate_rmse_m: float | None
+    """Absolute trajectory error, as corrected at the end, after the similarity that fits best."""
+    ate_share_of_path: float | None
     settled_s: float | None
     """From learning (or from when the robot was set down) until within 1 cm and 0.5 degrees for good."""
     lost_said_after_s: float | None
@@ -135,6 +150,13 @@ class LoopLog:
         self._first_telemetry: Telemetry | None = None
         self._last_telemetry: Telemetry | None = None
         self._cpu_zero_s = time.process_time()
+        self._survey: Survey | None = None
+        self.laps: int | None = None
+        """Driven, if laps are what the behaviour drives."""
+
+    def note_survey(self, survey: Survey | None) -> None:
+        """What the tracker mapped, after the run."""
+        self._survey = survey
 
     def note_telemetry(self, telemetry: Telemetry) -> None:
         """Keep the truth of the frame that the message stamps."""
@@ -229,6 +251,9 @@ class LoopLog:
             compass_error_deg_rms=_rms(_compass_errors_deg(rows, learned)),
             compass_error_without_pose_deg_rms=_rms(_compass_errors_deg(rows, learned, without_pose=True)),
             compass_share=_compass_share(rows),
+            path_m=_path_m(rows),
+            laps=self.laps,
+            **drive_errors.mapped(self._survey, [(row.time_s, row.truth) for row in rows], _path_m(rows)),
             settled_s=_settled_s(rows, learned_range_m),
             lost_said_after_s=said_s,
             lost_reason=reason,
@@ -336,6 +361,12 @@ def _compass_errors_deg(rows: list[_Row], learned: Truth | None, *, without_pose
 def _compass_share(rows: list[_Row]) -> float | None:
     known = [row.seen.result.compass_rad is not None for row in rows]
     return _rounded(float(np.mean(known))) if any(known) else None
+
+
+def _path_m(rows: list[_Row]) -> float | None:
+    """Of the robot; where it was carried does not count."""
+    steps = [math.dist(a.truth.robot[:2], b.truth.robot[:2]) for a, b in itertools.pairwise(rows)]
+    return _rounded(sum(step for step in steps if step <= SET_DOWN_M)) if steps else None
 
 
 def _range_errors(rows: list[_Row]) -> list[float]:

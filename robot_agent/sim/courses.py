@@ -17,6 +17,7 @@ from robot_agent.sim.poses import Pose, wrapped
 ROOM_HALF_SIZE_M = 3.0
 WALL_CLEARANCE_M = 0.8
 MIN_RADIUS_M = 0.75
+LAP_RADIUS_M, LAP_EXTENT_M = 0.45, 1.7
 MAX_FACING_RAD = math.radians(33.0)
 """Largest angle between the picture's normal and the ideal pursuer's line of sight."""
 
@@ -108,6 +109,14 @@ def draw_course(rng: np.random.Generator, *, distance_m: float, picture_behind_m
             continue
         pursuit = pursue(course, distance_m=distance_m, picture_behind_m=picture_behind_m)
         if pursuit.max_facing_rad <= MAX_FACING_RAD and pursuit.extent_m <= allowed_m:
+            return course
+
+
+def draw_lap(rng: np.random.Generator) -> ClosedCourse:
+    """A lap of 6 to 7.5 m for a robot that drives by itself, with room for furniture on both sides."""
+    while True:
+        course = _draw_loop(rng)
+        if 6.0 <= course.length_m <= 7.5 and course.min_radius_m >= LAP_RADIUS_M and course.extent_m <= LAP_EXTENT_M:
             return course
 
 

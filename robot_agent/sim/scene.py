@@ -68,7 +68,7 @@ class Scene:
         if self.stage.leader is not None:
             self.engine.place_leader(self.stage.leader(0.0))
         self.engine.refresh()
-        self.announcement = Scenario(name=scenario, seed=seed, events=(self._learn_event(),))
+        self.announcement = Scenario(name=scenario, seed=seed, events=(self._learn_event(),), course=self.stage.course)
         """What hello says of it."""
 
     def noisy(self, image: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from base_station.trackers.base import Survey
 from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
 from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
 from base_station.trackers.slam.camera import SlamCamera
@@ -157,6 +158,16 @@ class SlamTracker(PatchTracker):
             return Missed(f"the target is hidden or gone ({len(rows)} of {len(mine)} corners matched)")
         x, y = motion.moved(*learned.center_px)
         return Found(x=x, y=y, zoom=motion.zoom, confidence=motion.inliers / len(rows))
+
+    def survey(self) -> Survey | None:
+        """See `base.Surveyor`."""
+        if self._slam is None:
+            return None
+        self._slam.finish()
+        counts = self._slam.statistics()
+        return Survey(
+            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps
+        )
 
     def _end_mapper(self) -> None:
         if self._slam is not None:
