@@ -85,6 +85,10 @@ class Run:
     """How far away the target was when it was learned; the same."""
     shadow: str | None = None
     """A second tracker on the same frames; the first one steers."""
+    rows: bool = False
+    """Fewer bytes: let the robot send the rows only that the tracker wants (all, for a tracker that cannot say)."""
+    target_rows: int | None = None
+    """Of the target's box learn no more than so many rows, those in the middle: with --rows even fewer bytes."""
     host: str = "127.0.0.1"
     """The robot's name or address."""
     port: int = FRAME_PORT
@@ -250,6 +254,7 @@ def _check(run: Run) -> None:
     for name, value in (
         ("--duration", run.duration),
         ("--max-frames", run.max_frames),
+        ("--target-rows", run.target_rows),
     ):
         if value is not None and not 0 < value < math.inf:
             raise StationError(f"{name} must be positive, not {value}.", usage=True)
@@ -289,6 +294,8 @@ def _run(run: Run, console: Console) -> int:
         duration_s=run.duration,
         max_frames=run.max_frames,
         until_there=run.until_there,
+        rows=run.rows,
+        target_rows=run.target_rows,
         scale=_scale_maker(run, landmark),
     )
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow, from_memory=landmark is not None)
@@ -306,7 +313,12 @@ def _run(run: Run, console: Console) -> int:
         link = stack.enter_context(
             Link(
                 LinkSettings(
-                    host=run.host, port=run.port, width=run.width, height=run.height, signed_peer=run.signed_peer
+                    host=run.host,
+                    port=run.port,
+                    width=run.width,
+                    height=run.height,
+                    signed_peer=run.signed_peer,
+                    rows=run.rows,
                 ),
                 on_telemetry=log.note_telemetry,
             )

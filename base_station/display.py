@@ -122,6 +122,7 @@ def summary_table(summary: Summary) -> Table:
         ("target tracked in", summary.frames_tracked, "{:d} frames"),
         ("shadow: tracked in", summary.shadow_frames_tracked, "{:d} frames"),
         ("loop", summary.loop_hz, "{:.1f} Hz"),
+        ("pictures", _megabits(summary.frame_bytes_per_s), "{:.1f} Mbit/s"),
         ("tracker, median", summary.tracker_ms_p50, "{:.3f} ms"),
         ("frame to command, median", summary.frame_to_command_ms_p50, "{:.2f} ms"),
         ("frame to command, 95 %", summary.frame_to_command_ms_p95, "{:.2f} ms"),
@@ -158,6 +159,10 @@ def summary_table(summary: Summary) -> Table:
         if value is not None:
             table.add_row(name, form.format(value))
     return table
+
+
+def _megabits(bytes_per_s: float | None) -> float | None:
+    return None if bytes_per_s is None else bytes_per_s * 8e-6
 
 
 def _percent(share: float | None) -> float | None:

@@ -175,7 +175,7 @@ def _forget(action: Forget) -> None:
 
 
 def _list(action: List) -> None:
-    from base_station.trackers.ztransform.landmark_file import read_landmarks
+    from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES, read_landmarks
 
     kept = read_landmarks(action.memory)
     if action.json:
@@ -185,7 +185,7 @@ def _list(action: List) -> None:
                 "box": _box_numbers(landmark.box),
                 "frame": [landmark.camera.width, landmark.camera.height],
                 "learned_depth_m": landmark.learned_depth_m,
-                "bytes": landmark.bytes,
+                "bytes": LANDMARK_BYTES,
             }
             for landmark in kept
         ]

@@ -21,6 +21,7 @@ from base_station.frame_clock import FrameClock
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.head import Angles, HeadAngles
 from base_station.odometry import WheelOdometry
+from base_station.rows import NO_ROWS, Rows, RowSwitch
 from base_station.sockets import Control, ControlLine, LinkLost, RawConnection, TelemetryFeed, UnknownHost
 from base_station.types import Frame
 from protocol import (
@@ -55,6 +56,8 @@ class LinkSettings:
     """A peer without hello reads signed bytes; else commands to it are clamped to 0..127."""
     lockstep_wait_s: float = 2.0
     """In lockstep, how long a frame waits for its telemetry."""
+    rows: bool = False
+    """Ask the robot for bands of rows (`Link.want_rows`), if it knows them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,24 @@ class _Session:
 
     raw: RawConnection
     format: FrameFormat
+    """Of frames that are no band of it."""
     camera: PinholeCamera
     lowest_unit: int
+    rows: RowSwitch | None = None
+    """None: this robot sends whole frames only."""
+    asks_first: bool = False
+    """Other rows are asked for before a frame is handed out, not after: see `_receive`."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrival:
+    """One frame as it came."""
+
+    session: _Session
+    number: int
+    data: bytearray
+    format: FrameFormat
+    arrival_s: float
 
 
 class Link:
@@ -94,7 +113,7 @@ class Link:
         self._angles = HeadAngles()
         self._odometry = WheelOdometry()
         self._fresh = threading.Condition()
-        self._newest: tuple[_Session, int, bytearray, float] | None = None
+        self._newest: _Arrival | None = None
         self._failure: StationError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
@@ -125,17 +144,27 @@ class Link:
                 raise self._failure
             if self._newest is None:
                 return None
-            (session, number, data, arrival_s), self._newest = self._newest, None
-        image = np.frombuffer(data, np.uint8).reshape(session.format.height, session.format.width)
+            arrival, self._newest = self._newest, None
+        session, sent = arrival.session, arrival.format
+        image = np.frombuffer(arrival.data, np.uint8).reshape(sent.height, sent.width)
         image.flags.writeable = False
         frame = Frame(
             image=image,
-            number=number,
-            time_s=self._clock.time_s((session.raw.address, number), arrival_s),
+            first_row=sent.first_row - session.format.first_row,
+            full_height=session.format.height,
+            number=arrival.number,
+            time_s=self._clock.time_s((session.raw.address, arrival.number), arrival.arrival_s),
             camera=session.camera,
             connection=session.raw.address,
         )
-        return frame, arrival_s
+        return frame, arrival.arrival_s
+
+    def want_rows(self, rows: Rows | None, connection: str) -> None:
+        """The rows that are needed from now on, counted in whole frames; None: all. Returns at once; later frames have
+        them, and `Frame.first_row` tells which do. Does nothing where the robot sends whole frames only."""
+        session = self._session
+        if session is not None and session.rows is not None and session.raw.address == connection:
+            session.rows.want(rows)
 
     def send(self, command: Command, connection: str | None = None) -> float | None:
         """Send wheel speeds; returns when they were handed to the socket, None when that could not be.
@@ -217,16 +246,37 @@ class Link:
             self._session = session
             self._say(f"connected to {self.settings.host}:{self.settings.port}, frames {session.format}")
             while not self._closing.is_set():
-                received = session.raw.receive(0.1)
-                if received is not None:
-                    self._offer(session, *received)
+                self._receive(session)
         except LinkLost as error:
             self._say("the recording has come to its end" if self.ended else f"lost the robot: {error}")
         finally:
             self._session = None
             session.raw.close()
+            if session.rows is not None:
+                session.rows.close()
             if not self.ended:  # the last pictures of a recording are still wanted, those of a lost robot are not
                 self._offer_nothing()
+
+    def _receive(self, session: _Session) -> None:
+        """A frame, and between two frames the question for other rows.
+
+        It must not keep a frame from the loop, except in lockstep: there the robot waits for the answer to this frame,
+        and asked now it always changes the rows in the next one, so that runs can be repeated.
+        """
+        received = session.raw.receive(0.1)
+        if received is None:
+            return
+        arrival = _Arrival(session, session.raw.frames_received, *received)
+        if session.rows is None:
+            self._offer(arrival)
+            return
+        session.rows.check(arrival.number, arrival.format)
+        if session.asks_first:
+            session.rows.act(session.raw)
+            self._offer(arrival)
+        else:
+            self._offer(arrival)
+            session.rows.act(session.raw)
 
     def _open(self) -> _Session:
         """Ask who is there, and connect accordingly. Raises LinkLost, StationError, ProtocolError."""
@@ -247,8 +297,18 @@ class Link:
             stepped_period_s=1.0 / hello.fps if stepped and live else None,
             wait_s=self.settings.lockstep_wait_s if stepped and live else 0.0,
         )
+        knows_rows = "rows" in hello.capabilities
+        if self.settings.rows and not knows_rows:
+            log.warning(NO_ROWS, f"{hello.agent} knows no bands of rows (an older agent)")
         raw = RawConnection(self.settings.host, self.settings.port, hello.format)
-        return _Session(raw, hello.format, _camera_of(hello), MIN_UNIT)
+        return _Session(
+            raw,
+            hello.format,
+            _camera_of(hello),
+            MIN_UNIT,
+            RowSwitch(self.control_line(), hello.format, raw.address) if self.settings.rows and knows_rows else None,
+            asks_first=stepped,
+        )
 
     def _open_plain(self) -> _Session:
         """Nobody answers hello: take the stream for what the settings say."""
@@ -260,6 +320,8 @@ class Link:
         self._clock.begin()
         self.events = ()
         log.warning("%s", assumptions(self.settings))
+        if self.settings.rows:
+            log.warning(NO_ROWS, "a peer with the raw ports only knows no bands of rows")
         camera = PinholeCamera.with_fov(self.settings.width, self.settings.height)
         return _Session(raw, assumed, camera, MIN_UNIT if self.settings.signed_peer else 0)
 
@@ -279,9 +341,9 @@ class Link:
                 )
             self._closing.wait(RETRY_S)
 
-    def _offer(self, session: _Session, data: bytearray, arrival_s: float) -> None:
+    def _offer(self, arrival: _Arrival) -> None:
         with self._fresh:
-            self._newest = (session, session.raw.frames_received, data, arrival_s)
+            self._newest = arrival
             self._fresh.notify()
 
     def _offer_nothing(self) -> None:
@@ -295,6 +357,9 @@ class Link:
         stamp = telemetry.frame
         if stamp is not None and telemetry.station is not None:
             self._angles.note(telemetry.station, stamp)  # first: in lockstep the loop waits for the time only
+            session = self._session
+            if session is not None and session.rows is not None and session.raw.address == telemetry.station:
+                session.rows.note(stamp.number, stamp.rows)
             self._clock.note((telemetry.station, stamp.number), stamp.capture_s)
         self.ended = self.ended or telemetry.ended
         if self._on_telemetry is not None:

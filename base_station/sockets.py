@@ -55,8 +55,15 @@ class RawConnection:
     def frames_received(self) -> int:
         return self._decoder.frames
 
-    def receive(self, timeout_s: float) -> tuple[bytearray, float] | None:
-        """The next whole frame and when its last byte came, or None for now."""
+    def switch(self, frame_format: FrameFormat, number: int) -> None:
+        """From frame `number` on the frames have this format. Raises ProtocolError when that one has begun to come.
+
+        The receive buffer stays: a window that shrinks below what TCP sends at once makes it wait 0.2 s a frame.
+        """
+        self._decoder.switch(frame_format, number)
+
+    def receive(self, timeout_s: float) -> tuple[bytearray, FrameFormat, float] | None:
+        """The next whole frame, what it shows and when its last byte came, or None for now."""
         readable, _, _ = select.select([self._frames, self._commands], [], [], timeout_s)
         try:
             if self._frames not in readable:
@@ -71,8 +78,9 @@ class RawConnection:
         arrival_s = time.monotonic()
         if count == 0:
             self._end("the robot closed the frame connection")
+        frame_format = self._decoder.format
         frame = self._decoder.advance(count)
-        return None if frame is None else (frame, arrival_s)
+        return None if frame is None else (frame, frame_format, arrival_s)
 
     def _end(self, how: str) -> NoReturn:
         """Raise LinkLost; where a frame is cut short that is what it says."""

@@ -19,9 +19,10 @@ from base_station.errors import StationError
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.head import Angles, PanHead
 from base_station.link import Link
+from base_station.rows import Rows, united
 from base_station.scale import Scale
 from base_station.sockets import LinkLost
-from base_station.trackers.base import Tracker
+from base_station.trackers.base import Tracker, WantsRows
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
@@ -66,11 +67,15 @@ class StationSettings:
     """The behaviour may turn the camera."""
     target: Box | None = None
     """Learned in the first frame; None: what the simulated operator says, else the whole view."""
+    target_rows: int | None = None
+    """Of the target's box learn no more than so many rows, those in the middle."""
     duration_s: float | None = None
     """End after this much of the frames' time; None: until told."""
     max_frames: int | None = None
     until_there: bool = False
     """End when the behaviour's journey is over (see `behaviours.base.Journey`)."""
+    rows: bool = False
+    """Ask the robot for the rows only that the trackers want."""
     scale: ScaleMaker | None = None
     """From the box that is learned (None: the whole view) and the camera to the scale; results then carry metres."""
 
@@ -177,6 +182,8 @@ class Station:
         tracker_s = time.perf_counter() - begun_s
         angles = self._link.camera_angles(frame)
         command = self._command(behaviour, result, frame, angles)
+        if self.settings.rows:  # before the command: in lockstep the next frame may come at once
+            self._link.want_rows(self._wanted_rows(), frame.connection)
         sent_s = self._link.send(command, frame.connection)
         self._link.show(self._sight(result), frame.connection)
         self._note_outcome(behaviour)
@@ -190,6 +197,13 @@ class Station:
             tracker_s=tracker_s,
             frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
         )
+
+    def _wanted_rows(self) -> Rows | None:
+        """What serves all trackers; to learn, the whole frame is needed."""
+        if self._learn_asked or not self._learned:
+            return None
+        trackers = [self._tracker] + ([self._shadow] if self._shadow is not None else [])
+        return united([_rows_of(tracker) for tracker in trackers])
 
     def _command(self, behaviour: Behaviour, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
         if self._head is not None and angles is not None:
@@ -259,7 +273,7 @@ class Station:
 
     def _learn(self, tracker: Tracker, frame: Frame) -> bool:
         """Learn when it is asked for; a view that cannot be learned (a camera that is still dark) is tried again."""
-        if not self._learn_asked or not self._choose_target(frame):
+        if not self._learn_asked or not frame.is_whole or not self._choose_target(frame):
             return False
         try:
             tracker.learn(frame, self._target)
@@ -280,6 +294,8 @@ class Station:
             if frame.number < event.frame:
                 return False
             self._target = Box(*event.box) if event.box is not None else None
+        if self._target is not None and self.settings.target_rows is not None:
+            self._target = self._target.with_rows(self.settings.target_rows)
         return True
 
     def _look(self, tracker: Tracker, frame: Frame) -> TrackerResult:
@@ -297,6 +313,17 @@ class Station:
             except ValueError as error:
                 return TrackerResult(state=TrackingState.INITIALIZING, reason=str(error))
         return _checked(self._shadow, self._shadow.update(frame))
+
+
+def _rows_of(tracker: Tracker) -> Rows | None:
+    """The rows that this tracker wants."""
+    rows: object = tracker.wanted_rows() if isinstance(tracker, WantsRows) else None
+    if rows is None:
+        return None
+    if not isinstance(rows, tuple) or len(rows) != 2 or not all(isinstance(row, int) for row in rows):
+        kind = type(tracker).__name__
+        raise StationError(f"Stopped the robot: {kind}.wanted_rows returned {rows!r:.60}, not two whole rows or None.")
+    return rows
 
 
 def _checked(tracker: Tracker, result: object) -> TrackerResult:

@@ -15,6 +15,9 @@ from base_station.geometry import PinholeCamera
 class Frame:
     """One picture from the robot. `image`: uint8, shape (height, width), gray, not to be written to.
 
+    It may be a band of rows: its row r is then row `first_row` + r of the whole frame. `camera`, boxes and results are
+    always those of whole frames. Trackers get bands only if they asked for them (`trackers.base.WantsRows`).
+
     `number` counts the frames of this connection from 1; some may be missing between two updates. `time_s` is when the
     picture was taken, on a clock that only goes forward (its zero means nothing).
     """
@@ -25,6 +28,28 @@ class Frame:
     camera: PinholeCamera
     connection: str = ""
     """Which connection to the robot: the station's own end of it. Numbers begin anew with each."""
+    first_row: int = 0
+    full_height: int = 0
+    """Of the whole frame; 0: the image is whole."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the whole frame."""
+        return self.full_height or self.image.shape[0], self.image.shape[1]
+
+    @property
+    def is_whole(self) -> bool:
+        """It is no band."""
+        return self.image.shape == self.shape
+
+    def has_rows(self, first: int, past_last: int) -> bool:
+        """Whether the image shows these rows of the whole frame (what sticks out of it does not count)."""
+        end = self.first_row + self.image.shape[0]
+        return self.first_row <= max(first, 0) and min(past_last, self.shape[0]) <= end
+
+    def rows(self, first: int, past_last: int) -> np.ndarray:
+        """Of these rows of the whole frame those that the image has; a view of it."""
+        return self.image[max(first - self.first_row, 0) : max(past_last - self.first_row, 0)]
 
 
 @dataclass(frozen=True)
@@ -55,6 +80,10 @@ class Box:
     def around(cls, x: float, y: float, width: float, height: float) -> Box:
         """The box with this centre and size."""
         return cls(x - (width - 1) / 2, y - (height - 1) / 2, width, height)
+
+    def with_rows(self, most: int) -> Box:
+        """The box, or where it is higher than so many rows, its middle."""
+        return Box.around(*self.center_px, self.width, min(self.height, most))
 
     def clipped(self, width: int, height: int) -> Box | None:
         """The part of it inside a frame of this size, or None."""

@@ -1,12 +1,14 @@
 """Frames on port 31440: gray pictures back to back, no header, no handshake (thesis, listings A.1 and A.2).
 
 A frame is `height * width` bytes, 8-bit gray, row-major. Its format is agreed outside the stream (hello, or by hand),
-so the decoder is told it once. The decoder does no I/O: a socket loop reads straight into `writable()` and reports with
-`advance(n)`, and the frame that is handed out is the buffer that the socket filled: nothing is copied.
+so the decoder is told it; where the rows change on the way, it is told from which frame on. The decoder does no I/O: a
+socket loop reads straight into `writable()` and reports with `advance(n)`, and the frame that is handed out is the
+buffer that the socket filled: nothing is copied.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from protocol.errors import ProtocolError, TruncatedError
@@ -45,6 +47,23 @@ class FrameFormat:
         """Bytes of one frame on the wire."""
         return self.width * self.height
 
+    @property
+    def rows(self) -> tuple[int, int]:
+        """First and past-last row of the camera's picture that are sent."""
+        return self.first_row, self.first_row + self.height
+
+    def band(self, rows: tuple[int, int] | None) -> FrameFormat:
+        """Of these frames only the rows first..past-last, counted as `rows`; None: all of them.
+
+        Raises ProtocolError when they are none, or do not lie in the rows of these frames.
+        """
+        if rows is None:
+            return self
+        (first, past_last), (lowest, end) = rows, self.rows
+        if not lowest <= first < past_last <= end:
+            raise ProtocolError(f"rows {first}:{past_last} cannot be sent: the frames have rows {lowest}:{end}")
+        return dataclasses.replace(self, first_row=first, height=past_last - first)
+
     def __str__(self) -> str:
         band = "" if self.height == self.full_height else f" (rows {self.first_row}:{self.first_row + self.height})"
         return f"{self.width}x{self.height}{band}"
@@ -62,15 +81,34 @@ class FrameDecoder:
 
     def __init__(self, frame_format: FrameFormat) -> None:
         self.format = frame_format
+        """Of the frame that comes next, or has begun to come."""
         self.frames = 0
         """Frames completed so far; the n-th frame of a connection is number n, counted from 1."""
         self._buffer = bytearray(frame_format.size_bytes)
         self._filled = 0
+        self._later: tuple[int, FrameFormat] | None = None
 
     @property
     def pending(self) -> int:
         """Bytes of the unfinished frame that have arrived."""
         return self._filled
+
+    def switch(self, frame_format: FrameFormat, number: int) -> None:
+        """From frame `number` on the frames have this format. Replaces a switch that is still to come.
+
+        Raises ProtocolError when that frame has begun already: its bytes were taken for something else.
+        """
+        if number <= self.frames or (number == self.frames + 1 and self._filled):
+            raise ProtocolError(f"frames of {frame_format} were to begin with number {number}, which has begun to come")
+        self._later = number, frame_format
+        if number == self.frames + 1:
+            self._take_over()
+
+    def _take_over(self) -> None:
+        """Make room for the frame that comes next, in its format."""
+        if self._later is not None and self._later[0] == self.frames + 1:
+            (_, self.format), self._later = self._later, None
+        self._buffer, self._filled = bytearray(self.format.size_bytes), 0
 
     def writable(self) -> memoryview:
         """Where the next bytes belong: never empty, never beyond the end of the present frame."""
@@ -86,8 +124,9 @@ class FrameDecoder:
         self._filled += count
         if self._filled < len(self._buffer):
             return None
-        frame, self._buffer, self._filled = self._buffer, bytearray(self.format.size_bytes), 0
+        frame = self._buffer
         self.frames += 1
+        self._take_over()
         return frame
 
     def feed(self, data: bytes | bytearray | memoryview) -> list[bytearray]:

@@ -21,7 +21,7 @@ FRAME_PORT, COMMAND_PORT, TELEMETRY_PORT, CONTROL_PORT = 31440, 31441, 31442, 31
 SERVICE_TYPE = "_zservo._tcp.local."
 """Under this an agent may announce itself (DNS-SD); the port is the first of the four."""
 
-ACTIONS = ("hello", "stop", "release", "exposure", "look", "show")
+ACTIONS = ("hello", "stop", "release", "exposure", "look", "show", "rows")
 SIGHTS = ("tracking", "lost", "idle")
 """What a station may see, for the robot's lights."""
 
@@ -134,7 +134,8 @@ class Request:
     `hello`: who are you; `stop`: emergency stop, latched, with the reason in `text`; `release`: end it;
     `exposure`: set the camera's exposure to `value` microseconds, 0 for automatic; `look`: turn the camera's pan-tilt
     to `pan_rad` (left positive) and `tilt_rad` (up positive); `show`: the station sees `text`, one of SIGHTS, which a
-    robot with lights shows.
+    robot with lights shows; `rows`: send the `station` only these `rows` (first, past-last) of the camera's picture,
+    None for all that hello names.
     """
 
     action: str
@@ -142,6 +143,9 @@ class Request:
     value: float = 0.0
     pan_rad: float = 0.0
     tilt_rad: float = 0.0
+    rows: tuple[int, int] | None = None
+    station: str = ""
+    """The station's own end of its frame connection, host:port: nobody else changes what it gets."""
 
     def __post_init__(self) -> None:
         if self.action not in ACTIONS:
@@ -150,11 +154,13 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True)
 class Reply:
-    """The answer to any request. `error` says why not, in words for a person; `hello` is there for hello only."""
+    """The answer to any request. `error` says why not, in words for a person; `hello` is there for hello only, `frame`
+    for rows only: the number of the first frame that has them."""
 
     ok: bool
     error: str = ""
     hello: Hello | None = None
+    frame: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +177,8 @@ class FrameStamp:
     when the camera is fixed."""
     tilt_rad: float | None = None
     """The same upwards."""
+    rows: tuple[int, int] | None = None
+    """First and past-last row of the camera's picture that it shows; None: those that hello names."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,6 +35,7 @@ from protocol import (
 )
 from robot_agent import __version__
 from robot_agent.access import AllowList
+from robot_agent.bands import Bands
 from robot_agent.cameras.base import Camera, CameraFrame
 from robot_agent.errors import AgentError, CameraError, EndOfRecording, PanTiltError, UsageError
 from robot_agent.outlet import Outlet
@@ -98,6 +99,7 @@ class Agent:
         self._clock, self._stepped = clock, stepped
         self._scenario = scenario
         self._format = _frame_format(camera, self._settings.rows)
+        self._bands = Bands(self._format)
         self._supervisor = SafetySupervisor(_safety_for(camera, robot, self._settings.safety))
         self._lock = threading.Lock()
         self._stamp: FrameStamp | None = None
@@ -146,7 +148,7 @@ class Agent:
                 on_change=self._outlet.publish,
             )
             self._close_ports = opened.pop_all().close
-        self._writer = FrameWriter(self._frame_port, self._format.size_bytes, lambda: not self._stopping.is_set())
+        self._writer = FrameWriter(self._frame_port, lambda: not self._stopping.is_set())
         self._reader = CommandReader(self._command_port)
 
     # -- life ------------------------------------------------------------------------------------------------------
@@ -279,12 +281,11 @@ class Agent:
             if picture is not None and peer is not None:
                 if peer is not served:
                     served, replaced = peer, 0
-                    self._writer.prepare(peer)
                 elif not self._writer.ready(peer):
                     self._put_back(picture, replaced)
                     continue
-                self._stamp_frame(peer, picture, replaced)
-                self._writer.write(peer, self._pixels(picture))
+                rows = self._stamp_frame(peer, picture, replaced)
+                self._writer.write(peer, _pixels(picture, rows))
             self._sending = False
 
     def _put_back(self, picture: CameraFrame, replaced: int) -> None:
@@ -297,14 +298,16 @@ class Agent:
                 self._replaced += 1
         self._stopping.wait(0.001)
 
-    def _stamp_frame(self, peer: Peer, picture: CameraFrame, replaced: int) -> None:
-        """Number the frame and publish its telemetry, so that the station has it before the last byte."""
+    def _stamp_frame(self, peer: Peer, picture: CameraFrame, replaced: int) -> FrameFormat:
+        """Number the frame and publish its telemetry, so that the station has it before the last byte. Returns what of
+        the picture goes out under this number."""
         pan_tilt = self._pan_tilt
         pan_rad, tilt_rad = (None, None) if pan_tilt is None else pan_tilt.angles_at(picture.capture_s)
         with self._lock:
             before = self._stamp
             if before is None or before.connection != peer.number:
                 before = FrameStamp(connection=peer.number, number=0, capture_s=0.0, dropped=0)
+            sent = self._bands.of(peer.number)
             self._stamp = replace(
                 before,
                 number=before.number + 1,
@@ -312,14 +315,11 @@ class Agent:
                 dropped=before.dropped + replaced,
                 pan_rad=pan_rad,
                 tilt_rad=tilt_rad,
+                rows=sent.rows if sent is not self._format else None,
             )
             self._truth = picture.truth
         self._outlet.publish()
-
-    def _pixels(self, picture: CameraFrame) -> memoryview:
-        """The bytes to send: a view of the camera's picture where its memory allows, without a copy."""
-        first = self._format.first_row
-        return np.ascontiguousarray(picture.image[first : first + self._format.height]).data.cast("B")
+        return sent
 
     # -- commands --------------------------------------------------------------------------------------------------
 
@@ -331,7 +331,6 @@ class Agent:
 
     def _serve_lockstep(self) -> None:
         """One frame, then one command, as listing A.1; begins when both ports are connected."""
-        served: Peer | None = None
         while not self._stopping.is_set():
             watcher, commander = self._frame_port.wait_for_peer(WAIT_S), self._command_port.wait_for_peer(WAIT_S)
             if watcher is None or commander is None:
@@ -340,11 +339,8 @@ class Agent:
             picture = self._next_picture()
             if picture is None or self._frame_port.peer is not watcher:
                 continue
-            if watcher is not served:
-                served = watcher
-                self._writer.prepare(watcher)
-            self._stamp_frame(watcher, picture, 0)
-            if self._writer.write(watcher, self._pixels(picture)):
+            rows = self._stamp_frame(watcher, picture, 0)
+            if self._writer.write(watcher, _pixels(picture, rows)):
                 self._await_command(watcher)
 
     def _await_command(self, watcher: Peer) -> None:
@@ -378,6 +374,8 @@ class Agent:
             return self._look(request.pan_rad, request.tilt_rad)
         if request.action == "show":
             return self._show(request.text)
+        if request.action == "rows":
+            return self._send_rows(request.rows, request.station)
         if request.action == "stop":
             self._supervisor.emergency_stop(request.text)
         else:
@@ -393,6 +391,20 @@ class Agent:
             return Reply(ok=False, error="this robot has no lights")
         self._wheels.station_sees(what)
         return Reply(ok=True)
+
+    def _send_rows(self, rows: tuple[int, int] | None, station: str) -> Reply:
+        """From the next frame on; its number, decided together with the frames' own, tells the station where its
+        stream changes."""
+        with self._lock:
+            peer = self._frame_port.peer
+            if peer is None or peer.address != station:
+                return Reply(ok=False, error="only the station that gets the frames can choose their rows")
+            try:
+                self._bands.choose(rows, peer.number)
+            except ProtocolError as error:
+                return Reply(ok=False, error=str(error))
+            begun = self._stamp is not None and self._stamp.connection == peer.number
+            return Reply(ok=True, frame=1 + (self._stamp.number if begun and self._stamp is not None else 0))
 
     def _set_exposure(self, exposure_us: float) -> Reply:
         set_exposure = getattr(self._camera, "set_exposure", None)
@@ -424,7 +436,7 @@ class Agent:
             scenario = replace(scenario, events=())  # the operator's hand moves once, for the first station
         if scenario is not None:
             scenario = _shifted_events(scenario, self._format.first_row)
-        capabilities = ["stop"]
+        capabilities = ["stop", "rows"]
         capabilities += ["exposure"] if hasattr(self._camera, "set_exposure") else []
         capabilities += ["pan-tilt"] if self._pan_tilt is not None else []
         capabilities += ["show"] if hasattr(self._robot, "show") else []
@@ -478,6 +490,11 @@ class Agent:
 
 def _host_of(port: StationPort) -> str | None:
     return port.peer.host if port.peer is not None else None
+
+
+def _pixels(picture: CameraFrame, sent: FrameFormat) -> memoryview:
+    """The bytes to send: a view of the camera's picture where its memory allows, without a copy."""
+    return np.ascontiguousarray(picture.image[slice(*sent.rows)]).data.cast("B")
 
 
 def _frame_format(camera: Camera, rows: tuple[int, int] | None) -> FrameFormat:

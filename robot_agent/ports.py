@@ -184,8 +184,10 @@ class FrameWriter:
     frame waits on this side; what the station does not take in time is replaced by a newer one.
     """
 
-    def __init__(self, port: StationPort, frame_bytes: int, running: Callable[[], bool]) -> None:
-        self._port, self._frame_bytes, self._running = port, frame_bytes, running
+    def __init__(self, port: StationPort, running: Callable[[], bool]) -> None:
+        self._port, self._running = port, running
+        self._buffered: tuple[Peer, int] | None = None
+        """Whose kernel buffer was set, and to frames of how many bytes."""
 
     def ready(self, peer: Peer) -> bool:
         """Whether the frame before has left for the station."""
@@ -196,13 +198,17 @@ class FrameWriter:
             return True  # closed meanwhile; the write that follows tells
         return unsent[0] == 0
 
-    def prepare(self, peer: Peer) -> None:
-        """Keep the kernel's buffer to about one frame (Linux doubles the figure for its own use)."""
+    def _keep_to_one_frame(self, peer: Peer, frame_bytes: int) -> None:
+        """Make the kernel's buffer about as large as this frame (Linux doubles the figure for its own use)."""
+        if self._buffered == (peer, frame_bytes):
+            return
+        self._buffered = peer, frame_bytes
         with contextlib.suppress(OSError):
-            peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(self._frame_bytes // 2, CHUNK_BYTES))
+            peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, max(frame_bytes // 2, CHUNK_BYTES))
 
     def write(self, peer: Peer, frame: memoryview) -> bool:
         """Send it all. False when the peer went; it is dropped then."""
+        self._keep_to_one_frame(peer, len(frame))
         while frame:
             try:
                 frame = frame[peer.socket.send(frame) :]

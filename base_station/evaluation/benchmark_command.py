@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from base_station.errors import StationError
 from base_station.evaluation.benchmark_plots import cost_against_exactness, error_curves
 from base_station.evaluation.benchmark_report import (
+    PLAIN_WIDTH,
     as_json,
     condition_table,
     cost_table,
@@ -26,7 +27,8 @@ from base_station.evaluation.benchmark_report import (
 )
 from base_station.evaluation.conditions import CONDITIONS
 from base_station.evaluation.costs import Costs, measure_costs
-from base_station.evaluation.goals import Goal, goals_of
+from base_station.evaluation.goals import Goal, goals_of, lookup_goal
+from base_station.evaluation.landmark_benchmark import measure_lookup_ms
 from base_station.evaluation.tool import run_tool
 from base_station.evaluation.tracker_benchmark import (
     BenchmarkScores,
@@ -39,8 +41,8 @@ from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracke
 
 PROG = "benchmark-trackers"
 MOST_FRAMES = 10_000
-PLAIN_WIDTH = 140
 QUICK_FRAMES, QUICK_WORLDS = 12, 2
+LANDMARKS, QUICK_LANDMARKS, LOOKUP_VIEWS = 500, 20, 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,9 +93,14 @@ def _run(command: Benchmark, arguments: Sequence[str]) -> None:
             costed = DEFAULT_TRACKER in settings.trackers and not settings.is_place
             rounds = 1 if command.quick else 5
             costs = measure_costs(DEFAULT_TRACKER, worlds[0], rounds=rounds, seed=command.seed) if costed else None
+            lookup = _measure_lookup(command, worlds, console) if costed else []
     finally:
         cv2.setNumThreads(threads)
-    goals = {DEFAULT_TRACKER: goals_of(scores, costs, DEFAULT_TRACKER)} if DEFAULT_TRACKER in settings.trackers else {}
+    goals = (
+        {DEFAULT_TRACKER: goals_of(scores, costs, DEFAULT_TRACKER) + lookup}
+        if DEFAULT_TRACKER in settings.trackers
+        else {}
+    )
     line = shlex.join([f"scripts/{PROG}", *arguments])
     _print(console, settings, scores, costs, goals, worlds, line)
     if command.json is not None:
@@ -158,6 +165,14 @@ def _measure(settings: BenchmarkSettings, worlds: list[World], console: Console)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("updates", total=benchmark_steps(settings))
         return run_benchmark(settings, worlds, lambda: progress.advance(task))
+
+
+def _measure_lookup(command: Benchmark, worlds: list[World], console: Console) -> list[Goal]:
+    """Its landmarks are the default tracker's."""
+    landmarks = QUICK_LANDMARKS if command.quick else LANDMARKS
+    with console.status("learning landmarks"):
+        ms = measure_lookup_ms(worlds, landmarks=landmarks, views=LOOKUP_VIEWS, seed=command.seed)
+    return [lookup_goal(landmarks, ms)]
 
 
 def _print(

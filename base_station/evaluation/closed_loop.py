@@ -44,6 +44,8 @@ class Summary:
     shadow_frames_tracked: int | None
     frames_dropped: int | None
     """By the agent, because the station was slow."""
+    frame_bytes_per_s: float | None
+    """Of the frames looked at, by the frames' time."""
     loop_hz: float | None
     tracker_ms_p50: float | None
     frame_to_command_ms_p50: float | None
@@ -146,6 +148,7 @@ class LoopLog:
         self._tracker_s: list[float] = []
         self._delays_s: list[float] = []
         self._walls_s: list[float] = []
+        self._frame_bytes = 0
         self._dropped: int | None = None
         self._first_telemetry: Telemetry | None = None
         self._last_telemetry: Telemetry | None = None
@@ -175,6 +178,7 @@ class LoopLog:
         if not self._walls_s:
             self._cpu_zero_s = time.process_time()
         self._walls_s.append(time.monotonic())
+        self._frame_bytes += step.frame.image.size
         key = (step.frame.connection, step.frame.number)
         if step.learned and self._learned_key is None:
             self._learned_key, self._learned_at = key, len(self._steps)
@@ -213,6 +217,7 @@ class LoopLog:
         times_s = [seen.time_s for seen in self._steps]
         wall_s = self._walls_s[-1] - self._walls_s[0] if len(self._walls_s) > 1 else 0.0
         zero_s = times_s[0] if times_s else 0.0
+        duration_s = times_s[-1] - zero_s if times_s else 0.0
         settled = [row for row in rows if row.time_s - zero_s >= SETTLING_S]
         final = [row for row in rows if row.time_s > rows[-1].time_s - FINAL_S]
         learned_range_m = learned.range_m if learned is not None else None
@@ -223,11 +228,12 @@ class LoopLog:
             behaviour=self._behaviour,
             seed=seed,
             rhythm=rhythm,
-            duration_s=_rounded(times_s[-1] - zero_s if times_s else 0.0) or 0.0,
+            duration_s=_rounded(duration_s) or 0.0,
             frames=len(self._steps),
             frames_tracked=_tracked(seen.result for seen in self._since_learned()),
             shadow_frames_tracked=_tracked(seen.shadow for seen in self._since_learned()) if self._shadow else None,
             frames_dropped=self._dropped,
+            frame_bytes_per_s=_rounded(self._frame_bytes / duration_s) if duration_s > 0 else None,
             loop_hz=_rounded((len(self._walls_s) - 1) / wall_s) if wall_s > 0 else None,
             tracker_ms_p50=_quantile_ms(self._tracker_s, 50),
             frame_to_command_ms_p50=_quantile_ms(self._delays_s, 50),

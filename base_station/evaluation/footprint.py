@@ -1,4 +1,8 @@
-"""How many bytes a tracker keeps of one learned target: what its arrays take up more after learning than before."""
+"""How many bytes a tracker needs of one target: what must be kept to find it again, and what the tracker runs on.
+
+The two differ. A running tracker holds work space and what it makes of a target once to be quick afterwards; none of it
+needs keeping.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,9 @@ _LEAVES = (str, bytes, int, float, complex, bool, type(None), type, types.Functi
 
 
 def landmark_bytes(tracker: Tracker, learn: Callable[[], bool]) -> int | None:
-    """Calls `learn`; None when it returns False. A tracker's own `landmark_bytes` (an int) is believed instead."""
+    """What must be kept so that a tracker started later finds this target: the tracker's `landmark_bytes` (an int),
+    where it has a form for keeping; else what learning adds to its arrays. Calls `learn`; None when it returns False.
+    """
     before = array_bytes(tracker)
     if not learn():
         return None

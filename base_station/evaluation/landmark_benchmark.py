@@ -8,6 +8,7 @@ learned, and any sighting of a landmark of another world.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
@@ -19,13 +20,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from base_station.errors import StationError
-from base_station.evaluation.benchmark_report import machine_line
+from base_station.evaluation.benchmark_report import PLAIN_WIDTH, goal_table, machine_line
+from base_station.evaluation.footprint import array_bytes
+from base_station.evaluation.goals import bytes_goal, lookup_goal
 from base_station.evaluation.tool import run_tool
 from base_station.evaluation.worlds import VIEW_COLUMNS, VIEW_ROWS, World, generated_world, photographed_worlds
 from base_station.geometry import PinholeCamera
+from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
 from base_station.trackers.ztransform.lookup import LandmarkMemory
 from base_station.types import Box, Frame
 
@@ -82,6 +87,9 @@ class LandmarkScores:
     """cv2.phaseCorrelate of such a frame, in the same run: a yardstick for the machine."""
     learn_ms_p50: float
     bytes_per_landmark: int
+    """What must be kept of each, see `landmark_file`."""
+    running_bytes_per_landmark: int
+    """All arrays of the memory after the look-ups, by the number of landmarks."""
 
 
 @dataclass
@@ -149,7 +157,8 @@ def run_landmark_benchmark(
         empty_lookup_ms_p50=float(np.median(empty_s)) * 1e3,
         phase_correlation_ms_p50=float(np.median(yardstick_s)) * 1e3,
         learn_ms_p50=float(np.median(learn_s)) * 1e3,
-        bytes_per_landmark=max(landmark.bytes for landmark in memory.landmarks),
+        bytes_per_landmark=LANDMARK_BYTES,
+        running_bytes_per_landmark=array_bytes(memory) // len(memory),
     )
 
 
@@ -175,6 +184,29 @@ def _learn(
         took_s.append(time.thread_time() - begun_s)
         boxes[world][f"landmark {len(memory) - 1}"] = box
     return memory, boxes, took_s
+
+
+def measure_lookup_ms(worlds: Sequence[World], *, landmarks: int, views: int, seed: int) -> float:
+    """Median time of a look-up among so many landmarks, learned anywhere in these worlds, over views of them."""
+    rng = np.random.default_rng([seed, 0x100C])
+    memory = LandmarkMemory()
+    frames = [_frame(_lit(world.view(), 1.0, 0.0, rng)) for world in worlds]
+    for _ in range(10 * landmarks):
+        with contextlib.suppress(ValueError):  # featureless
+            memory.learn(f"landmark {len(memory)}", frames[int(rng.integers(len(frames)))], _draw_box(rng))
+        if len(memory) == landmarks:
+            break
+    else:
+        raise StationError("The pictures have too little texture for so many landmarks.")
+    memory.find(frames[0])
+    took_s = []
+    for number in range(views):
+        zoom, dx = float(np.exp(rng.uniform(math.log(0.45), math.log(2.2)))), float(rng.uniform(-50, 50))
+        frame = _frame(_lit(worlds[number % len(worlds)].view(dx, 0.0, zoom), float(rng.uniform(*GAINS)), 0.0, rng))
+        begun_s = time.thread_time()
+        memory.find(frame)
+        took_s.append(time.thread_time() - begun_s)
+    return float(np.median(took_s)) * 1e3
 
 
 def _draw_box(rng: np.random.Generator) -> Box:
@@ -237,7 +269,8 @@ def _range_score(tally: _Tally) -> RangeScore:
 
 def _print(scores: LandmarkScores) -> None:
     print(
-        f"{scores.landmarks} landmarks, {scores.bytes_per_landmark} bytes each, learned in {scores.learn_ms_p50:.0f} ms"
+        f"{scores.landmarks} landmarks, {scores.bytes_per_landmark} bytes each to keep"
+        f" ({scores.running_bytes_per_landmark} while looking), learned in {scores.learn_ms_p50:.0f} ms"
     )
     for name, score in scores.ranges.items():
         errors = (
@@ -270,6 +303,11 @@ def _run(run: LandmarkBenchmark, _arguments: Sequence[str]) -> None:
         print(f"{machine_line()}; seed {run.seed}")
         scores = run_landmark_benchmark(known, unknown, landmarks=run.landmarks, frames=run.frames, seed=run.seed)
     _print(scores)
+    goals = [lookup_goal(scores.landmarks, scores.lookup_ms_p50), bytes_goal(scores.bytes_per_landmark)]
+    console = Console()
+    if not console.is_terminal:
+        console.width = PLAIN_WIDTH
+    console.print(goal_table(goals, "landmarks"))
     if run.json is not None:
         run.json.write_text(json.dumps(asdict(scores), indent=2) + "\n", encoding="utf-8")
 

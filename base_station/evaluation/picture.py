@@ -14,19 +14,21 @@ from base_station.display import describe
 from base_station.evaluation.closed_loop import Summary
 from base_station.evaluation.drawing import BLUE, FAINT, GREEN, INK, ORANGE, RED, WHITE, as_ascii, draw_text
 from base_station.station import Step
-from base_station.types import TrackerResult, TrackingState
+from base_station.types import Frame, TrackerResult, TrackingState
 from protocol import Truth
 
 WIDTH, HEIGHT = 1280, 960
 PANEL_W, PANEL_H = WIDTH // 2, HEIGHT // 2
 MARGIN = 44
+UNSENT_GRAY = 60
+"""Of rows that the robot was not asked for."""
 
 
 class RunPicture:
     """Collects what it needs while the run goes on."""
 
     def __init__(self) -> None:
-        self._view: np.ndarray | None = None
+        self._frame: Frame | None = None
         self._result: TrackerResult | None = None
         self._zero_s: float | None = None
         self._bearings: list[tuple[float, float]] = []
@@ -35,7 +37,7 @@ class RunPicture:
 
     def note_step(self, step: Step) -> None:
         """Keep the measurements, and the newest picture without copying it."""
-        self._view, self._result = step.frame.image, step.result
+        self._frame, self._result = step.frame, step.result
         if self._zero_s is None:
             self._zero_s = step.frame.time_s
         time_s = step.frame.time_s - self._zero_s
@@ -71,12 +73,15 @@ class RunPicture:
         return bytes(cv2.imencode(".png", canvas)[1])
 
     def _draw_view(self, panel: np.ndarray) -> None:
-        if self._view is None or self._result is None:
+        if self._frame is None or self._result is None:
             draw_text(panel, "no frame came", (MARGIN, PANEL_H // 2))
             return
-        scale = min(PANEL_W / self._view.shape[1], PANEL_H / self._view.shape[0])
-        size = (max(1, round(self._view.shape[1] * scale)), max(1, round(self._view.shape[0] * scale)))
-        view = cv2.resize(cv2.cvtColor(self._view, cv2.COLOR_GRAY2BGR), size)
+        rows, columns = self._frame.shape
+        scale = min(PANEL_W / columns, PANEL_H / rows)
+        whole = np.full((rows, columns), UNSENT_GRAY, np.uint8)
+        whole[self._frame.first_row : self._frame.first_row + len(self._frame.image)] = self._frame.image
+        size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+        view = cv2.resize(cv2.cvtColor(whole, cv2.COLOR_GRAY2BGR), size)
         box = self._result.box
         color = GREEN if self._result.state is TrackingState.TRACKING else RED
         if box is not None:

@@ -22,7 +22,7 @@ from base_station.evaluation.conditions import (
     reference_view,
     views_without_target,
 )
-from base_station.evaluation.footprint import landmark_bytes
+from base_station.evaluation.footprint import array_bytes, landmark_bytes
 from base_station.evaluation.worlds import World
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import make_tracker
@@ -70,7 +70,9 @@ class TargetScore:
     """One tracker over all conditions that were run."""
 
     bytes_per_landmark: int
-    """What the tracker keeps of one learned target."""
+    """What must be kept to find one learned target again, see `footprint`."""
+    running_bytes: int
+    """All arrays of the tracker while it follows that target."""
     visible_tracked_share: float
     """Of all frames that show the target."""
     frames_without_target: int
@@ -91,7 +93,8 @@ class _Tally:
 
     rows: dict[str, list[tuple[float, float, float, float]]] = field(default_factory=dict)
     false: dict[str, list[float]] = field(default_factory=dict)
-    kept_bytes: list[int] = field(default_factory=list)
+    kept_bytes: list[tuple[int, int]] = field(default_factory=list)
+    """To be kept, and of the running tracker."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ class Sitting:
         """None when the tracker refuses to learn this: it is LOST in all of this world then."""
         for _ in range(WARM_UPS if self.kept_bytes is not None else 0):
             self._tracker.update(self._frame(reference))
+        self.running_bytes = array_bytes(self._tracker)
 
     def __enter__(self) -> Sitting:
         return self
@@ -174,7 +178,7 @@ def run_benchmark(
         for name, tally in tallies.items():
             with Sitting(name, reference, is_place=settings.is_place) as sitting:
                 if sitting.kept_bytes is not None:
-                    tally.kept_bytes.append(sitting.kept_bytes)
+                    tally.kept_bytes.append((sitting.kept_bytes, sitting.running_bytes))
                 for condition, disturbance, image in shown:
                     result, us = sitting.surprise(image)
                     tally.rows.setdefault(condition, []).append(_row(result, disturbance, us))
@@ -248,15 +252,21 @@ def score_condition(rows: np.ndarray) -> ConditionScore:
     )
 
 
-def score_target(visible: np.ndarray, strange: dict[str, np.ndarray], kept_bytes: Sequence[int]) -> TargetScore:
-    """`visible`: confidences of all frames that show the target, `strange`: of those that do not; NaN when LOST."""
+def score_target(
+    visible: np.ndarray, strange: dict[str, np.ndarray], kept_bytes: Sequence[tuple[int, int]]
+) -> TargetScore:
+    """`visible`: confidences of all frames that show the target, `strange`: of those that do not; NaN when LOST.
+
+    `kept_bytes`: of each target learned, what is to be kept, and what the running tracker holds.
+    """
     without = np.concatenate(list(strange.values()))
     # The (1 % of n)-th lowest confidence, LOST counting as lowest of all.
     ordered = np.sort(np.nan_to_num(visible, nan=-1.0))
     lowest = float(ordered[int((1 - VISIBLE_SHARE) * len(ordered) + 1e-9)])
     threshold = lowest if lowest >= 0 else None
     return TargetScore(
-        bytes_per_landmark=int(np.median(kept_bytes)) if kept_bytes else 0,
+        bytes_per_landmark=int(np.median([kept for kept, _ in kept_bytes])) if kept_bytes else 0,
+        running_bytes=int(np.median([running for _, running in kept_bytes])) if kept_bytes else 0,
         visible_tracked_share=float(np.isfinite(visible).mean()),
         frames_without_target=len(without),
         false_tracking_rate=float(np.isfinite(without).mean()),

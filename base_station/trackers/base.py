@@ -52,3 +52,17 @@ class Surveyor(Tracker, Protocol):
     def survey(self) -> Survey | None:
         """After the last frame; waits until the map is finished. None before anything was learned."""
         ...
+
+
+@runtime_checkable
+class WantsRows(Tracker, Protocol):
+    """A tracker that can work on a band of rows (see `Frame.first_row`): the robot then needs not send the rest.
+
+    It must be ready for whole frames at any time, and for a band that it did not ask for or asked for some frames ago:
+    `Frame.first_row` tells. `learn` always gets a whole frame.
+    """
+
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """The rows of the whole frame, first and past-last, that the next frames must have, with room for how far the
+        target moves and grows in a tenth of a second; None: all. They may stick out of the frame."""
+        ...

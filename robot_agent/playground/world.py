@@ -102,6 +102,7 @@ class PlaygroundWorld:
             self._leader.place(stage.leader(scenario_s))
             engine.place_leader(self._leader.pose())
         self._hold(scenario_s)
+        self._scene.move_background(scenario_s)
         engine.place_robot(self._follower.pose())
         capture_s = self._clock()
         engine.refresh()

@@ -10,6 +10,7 @@ import importlib
 import logging
 import math
 import os
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -102,6 +103,13 @@ class Engine:
         """Move the leader; nothing resists it."""
         self._data.mocap_pos[0] = pose.x_m, pose.y_m, 0.0
         self._data.mocap_quat[0] = _turn(pose.heading_rad)
+
+    def place_boards(self, poses: Sequence[Pose]) -> None:
+        """Move the boards of a cluttered room, in the model's order."""
+        for number, pose in enumerate(poses):
+            body = int(self._model.body_mocapid[self._id("BODY", f"board{number}")])
+            self._data.mocap_pos[body] = pose.x_m, pose.y_m, 0.0
+            self._data.mocap_quat[body] = _turn(pose.heading_rad)
 
     @property
     def is_touching(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from protocol import Intrinsics
 from robot_agent.sim import scenarios, textures, thymio
+from robot_agent.sim.clutter import exchanged, mirrored
 from robot_agent.sim.courses import ROOM_HALF_SIZE_M
 from robot_agent.sim.furnishing import Block
 from robot_agent.sim.poses import Pose
@@ -70,7 +71,8 @@ def build_model(
 <default class="obstacle"><geom contype="{OBSTACLE_TYPE}"/></default>
 <default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
 <asset>{assets}{_shades()}{_meshes()}</asset>
-<worldbody>{_room(stage)}{_leader(stage)}{_robot(stage.robot_start, _camera(fovy_deg, pan_tilt))}</worldbody>
+<worldbody>{_room(stage)}{_leader(stage)}{_boards(stage)}
+{_robot(stage.robot_start, _camera(fovy_deg, pan_tilt))}</worldbody>
 <actuator>{_motors()}{_servos() if pan_tilt else ""}</actuator>
 </mujoco>"""
     files = {f"{name}.png": _png(image) for name, image in images.items()}
@@ -81,12 +83,16 @@ def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.nd
     images = {"floor": textures.plain(_PLAIN_FLOOR_GRAY)} | dict.fromkeys(_WALLS, textures.plain(_PLAIN_WALL_GRAY))
     if stage.textured:
         images["floor"] = textures.texture(rng, *_FLOOR_PX, textures.FLOOR)
-        images |= {name: textures.texture(rng, *_WALL_PX, textures.WALL) for name in _WALLS}
+        style = textures.WALL if stage.clutter is None else textures.BUSY_WALL
+        images |= {name: textures.texture(rng, *_WALL_PX, style) for name in _WALLS}
     if stage.picture is not None:
         images["picture"] = textures.texture(rng, *_PICTURE_PX, textures.PICTURE)
     for number, block in enumerate(stage.furniture):
         if block.printed:
             images[f"{_BLOCK}{number}"] = textures.texture(rng, *_BLOCK_PX, textures.PICTURE)
+    if stage.clutter is not None:
+        images |= {"mirrored": mirrored(images["picture"]), "exchanged": exchanged(images["picture"])}
+        images["board"] = textures.texture(rng, *_PICTURE_PX, textures.BOARD)
     return images
 
 
@@ -157,14 +163,39 @@ def _block(number: int, block: Block) -> str:
 
 
 def _picture_geom(picture: scenarios.Picture, pose: Pose) -> str:
-    """A thin slab whose printed face (the box's +z) stands at the pose and looks against its heading; the box's +x is
-    to the viewer's right."""
-    half, inside = picture.side_m / 2, pose.moved(ahead_m=_SLAB_HALF_M)
+    return _slab(pose, picture.centre_height_m, (picture.side_m, picture.side_m), "picture", name='name="picture" ')
+
+
+def _slab(pose: Pose, centre_height_m: float, size_m: tuple[float, float], image: str, *, name: str = "") -> str:
+    """A thin slab, width x height, whose printed face (the box's +z) stands at the pose and looks against its heading;
+    the box's +x is to the viewer's right."""
+    (width, height), inside = size_m, pose.moved(ahead_m=_SLAB_HALF_M)
     axis_x, axis_y = np.sin(pose.heading_rad), -np.cos(pose.heading_rad)
     return (
-        f'<geom name="picture" class="obstacle" type="box" size="{half} {half} {_SLAB_HALF_M}" material="picture"'
-        f' pos="{inside.x_m} {inside.y_m} {picture.centre_height_m}" xyaxes="{axis_x:.9f} {axis_y:.9f} 0 0 0 1"/>'
+        f'<geom {name}class="obstacle" type="box" size="{width / 2} {height / 2} {_SLAB_HALF_M}" material="{image}"'
+        f' pos="{inside.x_m} {inside.y_m} {centre_height_m}" xyaxes="{axis_x:.9f} {axis_y:.9f} 0 0 0 1"/>'
     )
+
+
+def _look_alikes(stage: scenarios.Stage) -> str:
+    """On the leader, each on a rod."""
+    parts = []
+    for one in stage.clutter.look_alikes if stage.clutter is not None else ():
+        pose = Pose(x_m=one.ahead_m, y_m=one.left_m, heading_rad=0.0)
+        parts.append(_slab(pose, one.centre_height_m, (one.side_m, one.side_m), one.image))
+        start, end = f"0 0 {thymio.BODY_TOP_M}", f"{one.ahead_m + 0.004} {one.left_m} {one.centre_height_m}"
+        parts.append(f'<geom type="capsule" size="0.003" fromto="{start} {end}" material="trim"/>')
+    return "".join(parts)
+
+
+def _boards(stage: scenarios.Stage) -> str:
+    """Printed on both faces, which stand along the way that the board goes."""
+    parts = []
+    for number, board in enumerate(stage.clutter.boards if stage.clutter is not None else ()):
+        across = Pose(x_m=0.0, y_m=0.0, heading_rad=np.pi / 2)
+        face = _slab(across, board.height_m / 2, (board.width_m, board.height_m), board.image)
+        parts.append(f'<body name="board{number}" mocap="true" {_standing(board.pose(0.0))}>{face}</body>')
+    return "".join(parts)
 
 
 def _leader(stage: scenarios.Stage) -> str:
@@ -184,7 +215,8 @@ def _leader(stage: scenarios.Stage) -> str:
         '<geom class="obstacle" type="mesh" mesh="thymio" material="body"/>'
         '<geom type="mesh" mesh="lid" material="lid"/>'
         f'{wheels}<geom type="box" size="0.002 {half} {half}" pos="{behind + 0.0035} 0 {picture.centre_height_m}"'
-        f' material="back"/><geom type="box" size="0.012 0.05 0.004" pos="0.02 0 0.056" material="trim"/>{board}</body>'
+        f' material="back"/><geom type="box" size="0.012 0.05 0.004" pos="0.02 0 0.056" material="trim"/>{board}'
+        f"{_look_alikes(stage)}</body>"
     )
 
 

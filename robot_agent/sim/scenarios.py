@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_agent.errors import AgentError
 from robot_agent.sim import courses
+from robot_agent.sim.clutter import Clutter, draw_clutter
 from robot_agent.sim.furnishing import Block, furnish
 from robot_agent.sim.poses import Pose
 
@@ -70,6 +71,8 @@ class Stage:
     furniture: tuple[Block, ...] = ()
     course: tuple[tuple[float, float], ...] = ()
     """Waypoints (ahead, left) of a closed lap, in m from where the robot starts: for a robot that drives by itself."""
+    clutter: Clutter | None = None
+    """A busier room, things that move in it and pictures like the target; None without."""
 
 
 def build_stage(name: str, seed: int) -> Stage:
@@ -110,6 +113,19 @@ def _leader(rng: np.random.Generator, light: Callable[[float], float] = courses.
         picture=_leader_picture(),
         light=light,
     )
+
+
+def _cluttered(rng: np.random.Generator, light: Callable[[float], float] = courses.steady_light) -> Stage:
+    """As `leader` (or `lights`), in a busy room among moving things and pictures like the target."""
+    stage = _leader(rng, light)
+    assert stage.picture is not None
+    clutter = draw_clutter(
+        rng,
+        side_m=stage.picture.side_m,
+        centre_height_m=stage.picture.centre_height_m,
+        behind_m=LEADER_PICTURE_BEHIND_M,
+    )
+    return dataclasses.replace(stage, clutter=clutter)
 
 
 def _plain(rng: np.random.Generator) -> Stage:
@@ -193,10 +209,13 @@ SCENARIOS: dict[str, Callable[[np.random.Generator], Stage]] = {
     "arc": _arc,
     "leader": _leader,
     "lights": functools.partial(_leader, light=courses.changing_light),
+    "clutter": _cluttered,
+    "clutter-lights": functools.partial(_cluttered, light=courses.changing_light),
     "plain": _plain,
     "turn": _turn,
     "loop": _loop,
 }
 """poster: go back to a picture on the wall. arc: the same from aside. leader: follow a robot. lights: the same while
-the light changes. plain: the same in a featureless room, until the leader escapes. turn: watch a place from a
-turntable, which in the end turns round. loop: drive laps through a furnished room."""
+the light changes. clutter, clutter-lights: both among pictures like the target and before a background that moves.
+plain: the same in a featureless room, until the leader escapes. turn: watch a place from a turntable, which in the end
+turns round. loop: drive laps through a furnished room."""

@@ -71,6 +71,14 @@ class Scene:
         self.announcement = Scenario(name=scenario, seed=seed, events=(self._learn_event(),), course=self.stage.course)
         """What hello says of it."""
 
+    def move_background(self, time_s: float) -> None:
+        """Bring the things that move in the background to this scenario time; takes effect at the next `refresh`.
+
+        They keep off the robot, so it is enough to do so when a picture is taken.
+        """
+        if self.stage.clutter is not None:
+            self.engine.place_boards([board.pose(time_s) for board in self.stage.clutter.boards])
+
     def noisy(self, image: np.ndarray) -> np.ndarray:
         """The picture (uint8, height x width) with the camera's noise."""
         return self._noise.add_to(image)

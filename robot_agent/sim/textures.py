@@ -28,6 +28,8 @@ class TextureStyle:
 
 FLOOR = TextureStyle(shapes=700, smallest=0.004, largest=0.05, contrast=28.0)
 WALL = TextureStyle(shapes=260, smallest=0.02, largest=0.22)
+BUSY_WALL = TextureStyle(shapes=1500, smallest=0.012, largest=0.20, contrast=55.0)
+BOARD = TextureStyle(shapes=60, smallest=0.05, largest=0.30, contrast=50.0)
 PICTURE = TextureStyle(shapes=26, smallest=0.06, largest=0.30, contrast=45.0)
 
 _DARKEST, _LIGHTEST = 14, 241

@@ -169,6 +169,7 @@ class World:
             with self._lock:
                 if self._closed:
                     raise CameraError("The simulated camera is closed; start the agent again.")
+                self._scene.move_background(self._scenario_s())
                 self._engine.refresh()
                 self._engine.aim()
                 time_s, light = self.time_s, self._stage.light(self._scenario_s())

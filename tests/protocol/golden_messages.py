@@ -39,6 +39,10 @@ REQUEST = Request(action="stop", text="by the operator")
 
 LOOK = Request(action="look", pan_rad=0.5, tilt_rad=-0.25)
 
+ROWS = Request(action="rows", rows=(208, 272), station="192.168.0.20:51000")
+
+ROWS_REPLY = Reply(ok=True, frame=10)
+
 HELLO_REPLY = Reply(
     ok=True,
     hello=Hello(
@@ -70,7 +74,7 @@ TELEMETRY = Telemetry(
     sequence=17,
     monotonic_s=12.5,
     wall_s=1625000000.25,
-    frame=FrameStamp(connection=1, number=9, capture_s=12.25, dropped=2, pan_rad=0.5, tilt_rad=-0.25),
+    frame=FrameStamp(connection=1, number=9, capture_s=12.25, dropped=2, pan_rad=0.5, tilt_rad=-0.25, rows=(208, 272)),
     proximity=(0, 0, 2411, 0, 0, 0, 0),
     wheels_asked=(-40, 40),
     wheels_measured=(-38, 41),
@@ -110,6 +114,8 @@ def golden_files() -> dict[str, bytes]:
         "commands_listing_a2.bin": pattern_bytes(),
         "request.bin": encode(REQUEST),
         "request_look.bin": encode(LOOK),
+        "request_rows.bin": encode(ROWS),
+        "reply_rows.bin": encode(ROWS_REPLY),
         "reply_hello.bin": encode(HELLO_REPLY),
         "reply_refused.bin": encode(REFUSAL),
         "telemetry.bin": encode(TELEMETRY),

@@ -130,6 +130,64 @@ def test_a_band_of_rows_has_the_bytes_of_its_rows_only_and_must_lie_in_the_pictu
             FrameFormat(width=640, height=64, first_row=first_row, full_height=480)
 
 
+def test_a_band_of_frames_keeps_to_their_rows_and_says_which_there_are():
+    whole = FrameFormat(width=640, height=480)
+    assert whole.band((208, 272)) == FrameFormat(width=640, height=64, first_row=208, full_height=480)
+    assert whole.band(None) is whole
+    narrow = whole.band((100, 300))
+    assert narrow.band((100, 300)) == narrow
+    for rows in ((99, 200), (200, 301), (200, 200), (250, 200), (-1, 200), (-(2**63), 2**63)):
+        with pytest.raises(ProtocolError, match=r"cannot be sent: the frames have rows 100:300"):
+            narrow.band(rows)
+
+
+@given(
+    heights=st.lists(st.integers(1, 5), min_size=1, max_size=5),
+    ahead=st.lists(st.integers(0, 2), min_size=5, max_size=5),
+    cuts=st.lists(st.integers(0, 80)),
+    seed=st.randoms(use_true_random=False),
+)
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_told_from_which_frame_on_the_rows_change_it_misreads_no_frame_however_the_stream_is_cut(
+    heights, ahead, cuts, seed
+):
+    """Two frames of each height; the switch to the next height is told that many frames ahead, or just in time."""
+    whole = FrameFormat(width=3, height=5)
+    formats = [whole.band((0, height)) for height in heights for _ in range(2)]
+    sent = [seed.randbytes(frame_format.size_bytes) for frame_format in formats]
+    stream = b"".join(sent)
+    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    decoder, frames = FrameDecoder(formats[0]), []
+    switches = [(2 * n + 1, max(2 * n - ahead[n], 2 * n - 1)) for n in range(1, len(heights))]
+
+    def tell():
+        for number, when in switches:
+            if decoder.frames == when and not decoder.pending:
+                decoder.switch(formats[number - 1], number)
+
+    for start, end in itertools.pairwise(places):
+        part = stream[start:end]
+        while part:
+            tell()
+            count = min(len(part), len(decoder.writable()))
+            decoder.writable()[:count] = part[:count]
+            frame = decoder.advance(count)
+            frames += [bytes(frame)] if frame is not None else []
+            part = part[count:]
+    assert frames == sent
+
+
+def test_a_switch_that_comes_too_late_is_told_and_changes_nothing():
+    decoder = FrameDecoder(FORMAT)
+    decoder.feed(FRAME + NEXT_FRAME[:5])
+    for number in (0, 1, 2):
+        with pytest.raises(ProtocolError, match="has begun to come"):
+            decoder.switch(FORMAT.band((0, 1)), number)
+    assert decoded(decoder, NEXT_FRAME[5:]) == [NEXT_FRAME]
+    decoder.switch(FORMAT.band((0, 1)), 3)
+    assert decoded(decoder, FRAME[:FRAME_WIDTH]) == [FRAME[:FRAME_WIDTH]]
+
+
 def test_without_a_full_height_the_frame_is_the_whole_picture():
     assert FrameFormat(width=640, height=480).full_height == 480
     assert str(FrameFormat(width=640, height=480)) == "640x480"

@@ -138,7 +138,7 @@ def test_time_counts_whole_steps_and_nothing_is_lost_between_calls():
     assert simulated.time_s == pytest.approx(1.3, abs=0.002), "time does not run back"
 
 
-@pytest.mark.parametrize("scenario", ["leader", "lights", "plain"])
+@pytest.mark.parametrize("scenario", ["leader", "lights", "clutter", "plain"])
 def test_the_leader_waits_for_the_start_and_stands_40_cm_ahead(scenario):
     simulated = world(scenario)
     simulated.advance(5.0)

@@ -73,13 +73,17 @@ def evaluate_slam(command: EvaluateSlam) -> None:
     if command.json is not None:
         write_json(command.json, found)
     if command.output is not None:
-        write_output(command.output, sequence, run)
+        try:
+            write_output(command.output, sequence, run)
+        except OSError as error:
+            raise StationError(f"--output: {command.output} cannot be written ({error.strerror}).") from error
 
 
 def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
     """A new system, shown the sequence in one thread of OpenCV's, and closed whatever happens. Raises StationError."""
     threads = cv2.getNumThreads()
-    slam = make_slam(command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed)
+    with Console(stderr=True).status("getting ready (the first time its kernels are compiled)"):
+        slam = make_slam(command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed)
     try:
         cv2.setNumThreads(1)
         with threadpool_limits(1), _progress(len(sequence)) as progress:
@@ -108,7 +112,7 @@ def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int)
 
 
 def write_output(folder: Path, sequence: SlamSequence, run: SlamRun) -> None:
-    """Trajectories (TUM and EuRoC), frames.csv, the map (PLY, COLMAP), plots. Raises StationError."""
+    """Trajectories (TUM and EuRoC), frames.csv, the map (PLY, COLMAP), plots. Raises StationError or OSError."""
     for name, trajectory in (("CameraTrajectory", run.trajectory), ("KeyFrameTrajectory", run.keyframes)):
         write_tum(folder / f"{name}.txt", trajectory)
         write_euroc(folder / f"{name}.csv", trajectory)
@@ -132,7 +136,7 @@ def figure_table(found: dict[str, Any]) -> Table:
     table.add_column("value", justify="right")
     rows = {
         "frames": f"{found['frames']}",
-        "tracked": f"{found['tracked_share']:.1%}",
+        "tracked, of the shown ones": f"{found['tracked_share']:.1%}, {found['tracked_share_of_shown']:.1%}",
         "dropped, unreadable": f"{found['dropped_frames']}, {found['unreadable_frames']}",
         "ATE, RMSE": _rounded(found["ate_rmse"], 4),
         "ATE of keyframes, of poses told at once": f"{_rounded(found['ate_keyframes_rmse'], 4)}, "

@@ -13,6 +13,8 @@ from base_station.evaluation.thesis.plotting import LIGHT, Palette, draw_to
 
 AXES = "xyz"
 SIZE_IN, DPI = (9.0, 6.5), 110
+GAP_STEPS = 10
+"""A path is broken where poses are missing for so many usual steps."""
 SHOWN_SHARE = 98.0
 """Percent of the map's points that are within the plot: a few lie far away and would leave the rest no room."""
 
@@ -21,7 +23,8 @@ def plot_trajectory(path: Path, found: Trajectory, truth: Trajectory | None, mil
     """The path from the side that shows most of it, its error over time, and the time that each picture took."""
     pairs = aligned(found, truth) if truth is not None else None
     ours = pairs.found[:, :3, 3] if pairs is not None else found.positions
-    theirs = None if pairs is None else pairs.truth[:, :3, 3]
+    times = pairs.times_s if pairs is not None else found.times_s
+    theirs = None if truth is None or (pairs is None and len(found)) else truth.positions
 
     def draw(figure: Any, palette: Palette) -> None:
         shape = figure.add_gridspec(2, 2, width_ratios=(1.5, 1))
@@ -29,16 +32,21 @@ def plot_trajectory(path: Path, found: Trajectory, truth: Trajectory | None, mil
         across, up = _widest_axes(ours if theirs is None else theirs)
         if theirs is not None:
             above.plot(theirs[:, across], theirs[:, up], color=palette.unknown, label="truth")
-        above.plot(ours[:, across], ours[:, up], color=palette.series[0], linewidth=1.2, label="SLAM")
+        whole = _with_gaps(ours, times)
+        above.plot(whole[:, across], whole[:, up], color=palette.series[0], linewidth=1.2, label="SLAM")
         above.set(title="Path", xlabel=AXES[across], ylabel=AXES[up], aspect="equal", adjustable="datalim")
         above.legend(loc="best")
         if pairs is not None:
             off.plot(pairs.times_s - found.times_s[0], absolute_errors(pairs), ".", markersize=3)
             off.set(title="Distance from the truth", xlabel="s", ylim=(0, None))
         else:
-            off.set(title="No truth to compare with" if truth is None else "Too few poses to compare")
+            off.set_axis_off()
+            off.set_title("No truth to compare with" if truth is None else "Too few poses to compare")
+        shown = milliseconds[np.isfinite(milliseconds)]
         took.plot(milliseconds, ".", markersize=2, color=palette.series[1])
-        took.set(title="Time per picture, ms", xlabel="picture", ylim=(0, None))
+        title = f"ms per picture, at most {shown.max():.0f}" if len(shown) else "No picture was shown"
+        top = 1.3 * float(np.percentile(shown, 99)) if len(shown) else 1.0
+        took.set(title=title, xlabel="picture", ylim=(0, top))
 
     draw_to(path, draw, LIGHT, size_in=SIZE_IN, dpi=DPI)
 
@@ -52,19 +60,29 @@ def plot_map(path: Path, points: np.ndarray, keyframes: Trajectory) -> None:
         across, up = _widest_axes(places if len(places) > 1 else points)
         axes.plot(points[:, across], points[:, up], ".", markersize=1.2, color=palette.unknown, label="points")
         axes.plot(places[:, across], places[:, up], "-o", markersize=3, color=palette.series[4], label="keyframes")
-        everything = np.concatenate([points, places]) if len(points) else places
-        if len(everything):
-            low, high = np.percentile(everything, [(100 - SHOWN_SHARE) / 2, (100 + SHOWN_SHARE) / 2], axis=0)
-            room = 0.05 * (high - low) + 1e-9
+        tails = [(100 - SHOWN_SHARE) / 2, (100 + SHOWN_SHARE) / 2]
+        ends = [np.percentile(points, tails, axis=0)] if len(points) else []
+        ends += [places.min(0, keepdims=True), places.max(0, keepdims=True)] if len(places) else []
+        if ends:
+            low, high = np.concatenate(ends).min(0), np.concatenate(ends).max(0)
+            room = 0.05 * (high - low).max() + 1e-9
             axes.set(
-                xlim=(low[across] - room[across], high[across] + room[across]),
-                ylim=(low[up] - room[up], high[up] + room[up]),
+                xlim=(low[across] - room, high[across] + room),
+                ylim=(low[up] - room, high[up] + room),
             )
-        axes.set(title=f"Map: {len(points)} points, {len(places)} keyframes", aspect="equal", adjustable="datalim")
-        axes.set(xlabel=AXES[across], ylabel=AXES[up])
+        axes.set(title=f"Map: {len(points)} points, {len(places)} keyframes", xlabel=AXES[across], ylabel=AXES[up])
+        axes.set_aspect("equal", adjustable="box")
         axes.legend(loc="best")
 
     draw_to(path, draw, LIGHT, size_in=SIZE_IN, dpi=DPI)
+
+
+def _with_gaps(places: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """With a row of NaN, which draws no line, wherever poses are missing for long."""
+    steps = np.diff(times_s)
+    if not len(steps):
+        return places
+    return np.insert(places, np.flatnonzero(steps > GAP_STEPS * np.median(steps)) + 1, np.nan, axis=0)
 
 
 def _widest_axes(places: np.ndarray) -> tuple[int, int]:

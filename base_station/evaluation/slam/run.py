@@ -147,6 +147,7 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
     warm = warm[np.isfinite(warm)]
     statistics, seconds = run.statistics, float(sequence.times_s[-1] - sequence.times_s[0])
     tracked = outcomes.count(Outcome.TRACKING)
+    shown = len(outcomes) - outcomes.count(Outcome.DROPPED) - outcomes.count(Outcome.UNREADABLE)
     found: dict[str, Any] = {
         "sequence": sequence.name,
         "layout": sequence.layout,
@@ -155,6 +156,7 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
         "frames": len(outcomes),
         "tracked_frames": tracked,
         "tracked_share": tracked / len(outcomes),
+        "tracked_share_of_shown": tracked / shown if shown else 0.0,
         "lost_frames": outcomes.count(Outcome.LOST),
         "initializing_frames": outcomes.count(Outcome.INITIALIZING),
         "dropped_frames": outcomes.count(Outcome.DROPPED),

@@ -117,7 +117,7 @@ def _read_layout(folder: Path, own_camera: bool) -> _Found:
         return _tum(folder, own_camera)
     for mav in (folder / "mav0", folder):
         if (mav / "cam0" / "data.csv").is_file():
-            return _euroc(mav, own_camera)
+            return _euroc(folder, mav, own_camera)
     if (folder / "times.txt").is_file():
         return _kitti(folder, own_camera)
     raise StationError(
@@ -143,7 +143,7 @@ def _yaml_in(folder: Path) -> CameraFile | None:
     return read_orbslam(chosen[0]) if chosen else None
 
 
-def _euroc(mav: Path, own_camera: bool) -> _Found:
+def _euroc(folder: Path, mav: Path, own_camera: bool) -> _Found:
     stamps, pictures = _list(mav / "cam0" / "data.csv", ",", mav / "cam0" / "data")
     sensor = mav / "cam0" / "sensor.yaml"
     camera = read_euroc_sensor(sensor) if sensor.is_file() else None
@@ -155,7 +155,8 @@ def _euroc(mav: Path, own_camera: bool) -> _Found:
             truth = Trajectory(body.times_s, body.world_from_cam @ mounted)
     if truth is None and (mav / "groundtruth.txt").is_file():
         truth = read_tum(mav / "groundtruth.txt")
-    return _Found("EuRoC", pictures, [stamp / NS_PER_S for stamp in stamps], camera if own_camera else None, truth)
+    own = (camera or _yaml_in(folder)) if own_camera else None
+    return _Found("EuRoC", pictures, [stamp / NS_PER_S for stamp in stamps], own, truth)
 
 
 def _kitti(folder: Path, own_camera: bool) -> _Found:
@@ -175,8 +176,9 @@ def _kitti(folder: Path, own_camera: bool) -> _Found:
     calibration = folder / "calib.txt"
     truths = (folder / "poses.txt", folder.resolve().parent.parent / "poses" / f"{name}.txt")
     truth = next((read_kitti(path, np.array(times)) for path in truths if path.is_file()), None)
-    camera = read_kitti_calibration(calibration, number) if own_camera and calibration.is_file() else None
-    return _Found("KITTI", pictures, times[: len(pictures)], camera, truth)
+    camera = read_kitti_calibration(calibration, number) if calibration.is_file() else None
+    own = (camera or _yaml_in(folder)) if own_camera else None
+    return _Found("KITTI", pictures, times[: len(pictures)], own, truth)
 
 
 def _list(path: Path, separator: str | None, folder: Path) -> tuple[list[float], list[Path]]:

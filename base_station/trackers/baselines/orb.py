@@ -38,6 +38,11 @@ class OrbTracker(PatchTracker):
         self._orb = cv2.ORB.create(nfeatures=self._settings.features, fastThreshold=self._settings.fast_threshold)
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
 
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the corners and their descriptors."""
+        return int(self._points.nbytes + self._descriptors.nbytes)
+
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         x, y = learned.center_px
         rows, columns = learned.shape

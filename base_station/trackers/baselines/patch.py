@@ -6,6 +6,8 @@ reasons and the conversion to a result stand here. A learned place is the patch 
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -18,6 +20,8 @@ LEAST_CONTRAST = 2.0
 """Standard deviation of a patch or picture, grey levels; with less it is featureless."""
 SMALLEST_SIDE_PX = 8
 """Of the target."""
+ROOM_PX = 2
+"""Of a band of rows: a patch whose middle lies between two rows is read with both."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +62,7 @@ class PatchTracker(ABC):
 
     def learn(self, frame: Frame, target: Box | None) -> None:
         """Remember the patch. Raises ValueError as `base.Tracker.learn` does."""
-        height, width = frame.image.shape
+        height, width = frame.shape
         box = (target or Box(0, 0, width, height)).clipped(width, height)
         if box is None:
             raise ValueError("the box is outside of the frame")
@@ -69,9 +73,7 @@ class PatchTracker(ABC):
         patch = cut(frame.image, x, y, columns, rows)
         if float(patch.std()) < LEAST_CONTRAST:
             raise ValueError(f"featureless: the target's contrast is {patch.std():.1f} grey levels")
-        learned = Learned(
-            shape=(rows, columns), center_px=(x, y), frame_shape=frame.image.shape, is_place=target is None
-        )
+        learned = Learned(shape=(rows, columns), center_px=(x, y), frame_shape=frame.shape, is_place=target is None)
         self._prepare(frame.image, patch, learned)
         self._learned, self._last = learned, Found(x=x, y=y, confidence=1.0)
 
@@ -80,19 +82,24 @@ class PatchTracker(ABC):
         learned = self._learned
         if learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.image.shape != learned.frame_shape:
-            now, then = frame.image.shape, learned.frame_shape
+        if frame.shape != learned.frame_shape:
+            now, then = frame.shape, learned.frame_shape
             return _lost(Missed(f"the frame is {now[1]}x{now[0]}, learned in {then[1]}x{then[0]}"))
         contrast = float(cv2.meanStdDev(frame.image)[1][0, 0])
         if contrast < LEAST_CONTRAST:
             return _lost(Missed(f"featureless: contrast {contrast:.1f} grey levels"))
-        found = self._look(frame.image, learned)
+        found = self._look(frame.image, _in_band(learned, frame.first_row))
         if isinstance(found, Missed):
             return _lost(found)
         if not learned.is_place and _is_outside(found, learned.frame_shape):
             return _lost(Missed("the target left the frame"))
         self._last = found
         return _tracked(found, learned, frame)
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the patch, a byte a pixel, from which all else can be made once more."""
+        return math.prod(self._learned.shape) if self._learned is not None else 0
 
     def close(self) -> None:
         """Let go of what was learned."""
@@ -105,7 +112,26 @@ class PatchTracker(ABC):
 
     @abstractmethod
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
-        """Where the patch is in this picture, which has the learned one's shape."""
+        """Where the patch is in this picture, which has the learned one's shape. A tracker that wants a band of rows
+        (`RowsOfPatch`) may get one: `learned.center_px` is then in its rows."""
+
+
+class RowsOfPatch(PatchTracker):
+    """One that reads the rows of the learned patch, wherever the patch has gone, and no others."""
+
+    def update(self, frame: Frame) -> TrackerResult:
+        """See `base.Tracker.update`."""
+        wanted = self.wanted_rows()
+        if wanted is not None and not frame.has_rows(*wanted):
+            return _lost(Missed("the frame is a band without the target's rows"))
+        return super().update(frame)
+
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`."""
+        if self._learned is None:
+            return None
+        middle, half = self._learned.center_px[1], self._learned.shape[0] / 2
+        return math.floor(middle - half) - ROOM_PX, math.ceil(middle + half) + ROOM_PX
 
 
 def cut(image: np.ndarray, x: float, y: float, columns: int, rows: int) -> np.ndarray:
@@ -131,6 +157,13 @@ def peak_offset(before: float, peak: float, after: float) -> float:
 def gone(agreement: float) -> Missed:
     """The usual reason."""
     return Missed(f"the target is hidden or gone (agreement {agreement:.2f})", agreement)
+
+
+def _in_band(learned: Learned, first_row: int) -> Learned:
+    if not first_row:
+        return learned
+    x, y = learned.center_px
+    return dataclasses.replace(learned, center_px=(x, y - first_row))
 
 
 def _is_outside(found: Found, shape: tuple[int, int]) -> bool:

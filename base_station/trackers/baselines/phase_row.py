@@ -16,7 +16,7 @@ from base_station.trackers.baselines.patch import (
     Found,
     Learned,
     Missed,
-    PatchTracker,
+    RowsOfPatch,
     agreement,
     cut,
     gone,
@@ -35,12 +35,17 @@ class PhaseRowSettings:
     """Correlation of the learned bands with those at the peak."""
 
 
-class PhaseRowTracker(PatchTracker):
+class PhaseRowTracker(RowsOfPatch):
     """One-dimensional, with numpy's FFT."""
 
     def __init__(self, *, settings: PhaseRowSettings | None = None) -> None:
         super().__init__()
         self._settings = settings or PhaseRowSettings()
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the bands."""
+        return int(self._bands.nbytes)
 
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         columns = learned.shape[1]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker, agreement, gone
+from base_station.trackers.baselines.patch import Found, Learned, Missed, RowsOfPatch, agreement, gone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,12 +24,17 @@ class RatSlamSettings:
     """Correlation of the profiles at the best shift: the difference itself has no natural bar."""
 
 
-class RatSlamTracker(PatchTracker):
+class RatSlamTracker(RowsOfPatch):
     """The learned profile against every stretch of the same rows' profile."""
 
     def __init__(self, *, settings: RatSlamSettings | None = None) -> None:
         super().__init__()
         self._settings = settings or RatSlamSettings()
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the profile."""
+        return int(self._profile.nbytes)
 
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         rows, columns = learned.shape
@@ -38,17 +43,20 @@ class RatSlamTracker(PatchTracker):
         x, y = learned.center_px
         self._left = min(max(round(x - (columns - 1) / 2), 0), image.shape[1] - columns)
         top = min(max(round(y - (rows - 1) / 2), 0), image.shape[0] - rows)
-        self._rows = slice(top, top + rows)
-        self._profile = _normalised(self._read(image)[self._left : self._left + columns])
+        self._above = y - top
+        self._profile = _normalised(self._read(image, learned)[self._left : self._left + columns])
         if float(self._profile.std()) < 1e-3:
             raise ValueError("featureless: all columns of the target are equally bright")
 
-    def _read(self, image: np.ndarray) -> np.ndarray:
+    def _read(self, image: np.ndarray, learned: Learned) -> np.ndarray:
         """The mean of the target's rows, float32 (frame columns,)."""
-        return np.asarray(image[self._rows].mean(0, dtype=np.float32))
+        top = round(learned.center_px[1] - self._above)
+        return np.asarray(image[top : top + learned.shape[0]].mean(0, dtype=np.float32))
 
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
-        stretches = _normalised(np.lib.stride_tricks.sliding_window_view(self._read(image), len(self._profile)))
+        stretches = _normalised(
+            np.lib.stride_tricks.sliding_window_view(self._read(image, learned), len(self._profile))
+        )
         best = int(np.argmin(np.abs(stretches - self._profile).mean(1)))
         alike = agreement(self._profile - 1, stretches[best] - 1)
         if alike < self._settings.least_agreement:

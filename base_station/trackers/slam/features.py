@@ -128,21 +128,28 @@ class FeatureExtractor:
         height, width = level.shape
         xy, scores = _detect(self._strong, level, 0, 0)
         columns, rows = max(1, round(width / BLOCK_PX)), max(1, round(height / BLOCK_PX))
-        block = np.minimum(xy[:, 0] * columns // width, columns - 1) + columns * np.minimum(
-            xy[:, 1] * rows // height, rows - 1
-        )
-        counts = np.bincount(block.astype(np.int64), minlength=columns * rows)
-        poor = np.flatnonzero(counts < 1.5 * quota / (columns * rows))
-        if not len(poor):
+        block, poor = _poor_blocks(xy, width / columns, height / rows, columns, rows, 1.5 * quota / (columns * rows))
+        if not poor.any():
             return xy, scores
-        rich = ~np.isin(block, poor)
+        rich = ~poor[block]
         found = [(xy[rich], scores[rich])]
-        for index in poor:
+        for index in np.flatnonzero(poor):
             left, top = index % columns * width // columns, index // columns * height // rows
             right, bottom = (index % columns + 1) * width // columns, (index // columns + 1) * height // rows
             x, y = max(left - 3, 0), max(top - 3, 0)
             found.append(_detect(self._weak, level[y : bottom + 3, x : right + 3], x, y))
         return np.concatenate([part[0] for part in found]), np.concatenate([part[1] for part in found])
+
+
+@njit(cache=True, nogil=True)
+def _poor_blocks(xy, wide, high, columns, rows, least):
+    """In which block each corner (n, 2) lies, and which blocks have too few of them, bool."""
+    block = np.empty(len(xy), np.int64)
+    counts = np.zeros(columns * rows, np.int64)
+    for i in range(len(xy)):
+        block[i] = min(int(xy[i, 0] / wide), columns - 1) + columns * min(int(xy[i, 1] / high), rows - 1)
+        counts[block[i]] += 1
+    return block, counts < least
 
 
 def _detect(detector: cv2.FastFeatureDetector, image: np.ndarray, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
@@ -256,15 +263,18 @@ def orientations(image: np.ndarray, xy: np.ndarray) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def _orientations(image, xy, half_widths):
     angles = np.empty(len(xy), np.float32)
+    radius = len(half_widths) - 1
     for i in range(len(xy)):
         column, row = int(xy[i, 0] + 0.5), int(xy[i, 1] + 0.5)
-        m10, m01 = np.int64(0), np.int64(0)
-        for v in range(-len(half_widths) + 1, len(half_widths)):
-            half, total = half_widths[abs(v)], np.int64(0)
-            for u in range(-half, half + 1):
-                grey = np.int64(image[row + v, column + u])
-                m10 += u * grey
+        m10, m01 = np.int32(0), np.int32(0)
+        for v in range(-radius, radius + 1):
+            half, total, moment = half_widths[abs(v)], np.int32(0), np.int32(0)
+            line = image[row + v, column - half : column + half + 1]
+            for u in range(2 * half + 1):
+                grey = np.int32(line[u])
+                moment += np.int32(u) * grey
                 total += grey
-            m01 += v * total
+            m10 += moment - np.int32(half) * total
+            m01 += np.int32(v) * total
         angles[i] = np.degrees(np.arctan2(m01, m10)) % 360.0
     return angles

@@ -260,20 +260,16 @@ class Map:
         count = self.keyframe_count
         rows = np.flatnonzero((becomes[self.point_of[:count]] != self.point_of[:count]).any(axis=1))
         self.point_of[rows] = becomes[self.point_of[rows]]
-        for row in rows[self.alive[rows]]:
-            self.see_each_point_once(int(row))
+        self.see_each_point_once(rows)
         self.point_alive[points] = False
         self.replaced_by[points] = by
         self.found[by[by >= 0]] += self.found[points[by >= 0]]
         self.expected[by[by >= 0]] += self.expected[points[by >= 0]]
         self.mark(keyframes=rows, points=points)
 
-    def see_each_point_once(self, keyframe: int) -> None:
-        mine = self.point_of[keyframe]
-        features = np.flatnonzero(mine >= 0)
-        _, first = np.unique(mine[features], return_index=True)
-        double = np.setdiff1d(features, features[first])
-        self.point_of[keyframe, double] = NONE
+    def see_each_point_once(self, keyframes: np.ndarray) -> None:
+        """Where two features of a keyframe show one point, the first one keeps it."""
+        _drop_doubles(self.point_of, np.asarray(keyframes, np.int64), np.full(self.point_count, NONE, np.int64))
 
     def remove_keyframe(self, keyframe: int, anchor: int) -> None:
         """A keyframe is no more; its pose is kept relative to `anchor`, so that the trajectory stays whole."""
@@ -346,6 +342,18 @@ def refresh_points(world: Map, points: np.ndarray, keyframes: np.ndarray) -> Non
     world.descriptors[unique] = _medoids(looks, starts, counts)
     world.observed[unique] = np.maximum(world.observed[unique], counts)
     world.mark(points=unique)
+
+
+@njit(cache=True, nogil=True)
+def _drop_doubles(point_of, keyframes, last_seen_by):
+    for keyframe in keyframes:
+        for feature in range(point_of.shape[1]):
+            point = point_of[keyframe, feature]
+            if point < 0:
+                continue
+            if last_seen_by[point] == keyframe:
+                point_of[keyframe, feature] = NONE
+            last_seen_by[point] = keyframe
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, match_epipolar
 from base_station.trackers.slam.se3 import camera_centers, inverse, transform
-from base_station.trackers.slam.triangulation import believable, fundamental_matrix, triangulate
+from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,10 @@ class NewPointSettings:
     least_baseline: float = 0.01
     """Between two keyframes, as a share of the median depth; below, depth is a guess."""
     least_parallax_rad: float = math.radians(1.0)
-    """Under which a point must be seen."""
+    """Under which a point must be seen, and..."""
+    least_sigmas: float = 8.0
+    """...so many times the angle that a keypoint may be off: a share of 1 / 8 of the depth is uncertain then. Points
+    less sure are not wrong at random, they are too near: with them a turning camera loses its scale."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
@@ -68,6 +71,9 @@ def _between(world: Map, one: int, two: int, camera: SlamCamera, settings: NewPo
         points, (pose_one, pose_two), uv, scales, camera.intrinsics,
         least_parallax_rad=settings.least_parallax_rad, octave_scales=(1.0 / scales[0], 1.0 / scales[1]),
     )  # fmt: skip
+    surely = np.cos(np.minimum(settings.least_sigmas * np.maximum(*scales) / camera.fx, 1.0))
+    with np.errstate(invalid="ignore"):
+        good &= parallax_cosines(points, camera_centers(pose_one), camera_centers(pose_two)) < surely
     made = world.add_points(points[good], of_one.descriptors[rows[good]], one)
     world.point_of[one, rows[good]] = made
     world.point_of[two, matches[rows[good]]] = made

@@ -67,25 +67,25 @@ def optimize(
         return world_from_keyframe.copy()
     gtsam = libraries.gtsam()
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for node in np.flatnonzero(free):
-        start.insert(int(node), _as_gtsam(gtsam, world_from_keyframe[node]))
-    for held in fixed:
-        graph.add(gtsam.NonlinearEqualitySimilarity3(int(held), _as_gtsam(gtsam, world_from_keyframe[held])))
-    length = float(np.median([np.linalg.norm(edge.i_from_j[:3, 3]) for edge in used])) or 1.0
+    for node, place in zip(np.flatnonzero(free).tolist(), _as_gtsam(gtsam, world_from_keyframe[free]), strict=True):
+        start.insert(node, place)
+        if node in fixed:
+            graph.add(gtsam.NonlinearEqualitySimilarity3(node, place))
+    measured = np.stack([edge.i_from_j for edge in used])
+    length = float(np.median(np.linalg.norm(measured[:, :3, 3], axis=1))) or 1.0
     sigmas = np.repeat(
         [settings.rotation_sigma_rad, settings.translation_sigma * length, settings.log_scale_sigma], [3, 3, 1]
     )
-    for edge in used:
+    for edge, between in zip(used, _as_gtsam(gtsam, measured), strict=True):
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas / np.sqrt(edge.weight))
-        between = _as_gtsam(gtsam, edge.i_from_j)
         graph.add(gtsam.BetweenFactorSimilarity3(edge.i, edge.j, between, noise))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(settings.rounds)
     result = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
     out = world_from_keyframe.copy()
-    for node in np.flatnonzero(free):
+    for node in np.flatnonzero(free).tolist():
         if node not in fixed:
-            found = result.atSimilarity3(int(node))
+            found = result.atSimilarity3(node)
             out[node] = similarity(found.scale(), found.rotation().matrix(), found.scale() * found.translation())
     return out
 
@@ -112,7 +112,9 @@ def spread(points: np.ndarray, owners: np.ndarray, before: np.ndarray, after: np
     return np.asarray(transform(moved[owners], points[:, None])[:, 0])
 
 
-def _as_gtsam(gtsam: Any, matrix: np.ndarray) -> Any:
-    """gtsam's similarity is x -> s (R x + t)."""
-    scale = float(scale_of(matrix))
-    return gtsam.Similarity3(gtsam.Rot3(rotation_of(matrix)), matrix[:3, 3] / scale, scale)
+def _as_gtsam(gtsam: Any, matrices: np.ndarray) -> list[Any]:
+    """Of (n, 4, 4); gtsam's similarity is x -> s (R x + t)."""
+    scales, turns = scale_of(matrices), rotation_of(matrices)
+    places = matrices[:, :3, 3] / scales[:, None]
+    parts = zip(turns, places, scales.tolist(), strict=True)
+    return [gtsam.Similarity3(gtsam.Rot3(turn), place, scale) for turn, place, scale in parts]

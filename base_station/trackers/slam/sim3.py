@@ -19,6 +19,8 @@ import numpy as np
 CHI2_99_2DOF = 9.21
 """A squared distance in units of its variance is above this for one correct observation in a hundred."""
 TINY = 1e-12
+PREVIEW_PAIRS, PREVIEW_KEPT = 50, 30
+"""Candidates are compared by so many pairs first, and so many of them are then compared by all pairs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +155,9 @@ def estimate(a: Sighted, b: Sighted, settings: Sim3Settings | None = None) -> Si
     candidates = candidates[believed]
     if not len(candidates):
         return None
+    some = rng.permutation(count)[:PREVIEW_PAIRS]  # most candidates are so wrong that some pairs tell it
+    promise = agreement(candidates, _part(a, some), _part(b, some)).sum(1)
+    candidates = candidates[np.argsort(-promise, kind="stable")[:PREVIEW_KEPT]]
     agreeing = agreement(candidates, a, b)
     best = int(agreeing.sum(1).argmax())
     a_from_b, inliers = candidates[best], agreeing[best]

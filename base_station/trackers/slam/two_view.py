@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from base_station.trackers.slam.bundle_kernels import adjust_small
+from base_station.trackers.slam.bundle_problem import BundleProblem
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad
 from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
@@ -23,6 +25,9 @@ CHI2_ONE = 3.841
 """95 % for one number: the distance to an epipolar line."""
 FINEST_PX, EXACT_SIGMAS = 0.15, 2.5
 TURN_ROUNDS = 8
+SERIOUS_SHARE = 0.7
+"""Of the points of the motion with most: one with fewer is no rival."""
+REFINING = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +55,10 @@ class TwoViewSettings:
     """...and this share..."""
     planar_parallax_share: float = 0.6
     """...and this one where a homography explains the pair as well: then the motions are harder to tell apart."""
-    moved_px: float = 2.0
+    moved_px: float = 1.0
     """By which, on its level, a point must lie off where the best pure turn would put it..."""
+    moved_sigmas: float = 4.0
+    """...and by so many standard deviations of what the best motion leaves..."""
     moved_share: float = 0.25
     """...for this share of the points, and for `least_points` of them."""
     kept_parallax_rad: float = math.radians(0.3)
@@ -111,23 +118,24 @@ def _best_motion(
     intrinsics = np.array([camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]])
     if len(inliers) < settings.least_points:
         return "too few matches agree"
-    tried = [
-        _try(motion, one[inliers], two[inliers], intrinsics, (sigma[0][inliers], sigma[1][inliers]))
-        for motion in motions
-    ]
+    seen_one, seen_two, fine = one[inliers], two[inliers], (sigma[0][inliers], sigma[1][inliers])
+    tried = [_try(motion, seen_one, seen_two, intrinsics, fine) for motion in motions]
     count = max(int(one_try.good.sum()) for one_try in tried)
     if count < max(settings.least_points, settings.least_share * len(inliers)):
         return "too few points lie before both cameras"
-    scores = _scores(tried, count)
-    best = tried[int(np.argmax(scores))]
-    cosines = parallax_cosines(best.points[best.good], np.zeros(3), inverse(best.motion)[:3, 3])
-    wide = int((cosines < math.cos(settings.least_parallax_rad)).sum())
+    serious = [one_try for one_try in tried if one_try.good.sum() > SERIOUS_SHARE * count]
     share = settings.planar_parallax_share if planar else settings.parallax_share
-    if wide < max(share * len(cosines), settings.least_points):
+    if not any(_is_wide(one_try, share, settings) for one_try in serious):
+        return "the camera has not moved enough"
+    tried = [_refined(one_try, seen_one, seen_two, intrinsics, fine) for one_try in serious]
+    scores = _scores(tried)
+    best = tried[int(np.argmax(scores))]
+    if not _is_wide(best, share, settings):
         return "the camera has not moved enough"
     seen = inliers[best.good]
     moved = _turn_residual(one[seen], two[seen], camera_matrix) / sigma[1][seen]
-    if (moved > settings.moved_px).sum() < max(settings.moved_share * len(moved), settings.least_points):
+    clearly = max(settings.moved_px, settings.moved_sigmas * 1.4826 * float(np.median(best.residual[best.good])))
+    if (moved > clearly).sum() < max(settings.moved_share * len(moved), settings.least_points):
         return "the camera has only turned"
     others = [
         score for score, other in zip(scores, tried, strict=True) if not _same(other.motion, best.motion, settings)
@@ -135,7 +143,7 @@ def _best_motion(
     if max(others, default=0.0) > (1.0 - settings.lead_share) * max(scores):
         return "two motions explain it"
     good = best.good.copy()
-    good[good] = cosines < math.cos(settings.kept_parallax_rad)
+    good[good] = _cosines(best) < math.cos(settings.kept_parallax_rad)
     return TwoView(best.motion, best.points[good], inliers[good], planar)
 
 
@@ -165,10 +173,41 @@ def _try(
     return _Try(motion, points, good, np.sqrt((there + back) / 2))
 
 
-def _scores(tried: list[_Try], count: int) -> list[float]:
+def _cosines(one: _Try) -> np.ndarray:
+    return parallax_cosines(one.points[one.good], np.zeros(3), inverse(one.motion)[:3, 3])
+
+
+def _is_wide(one: _Try, share: float, settings: TwoViewSettings) -> bool:
+    """Whether enough of its points are seen under an angle that tells depth."""
+    wide = int((_cosines(one) < math.cos(settings.least_parallax_rad)).sum())
+    return wide >= max(share * one.good.sum(), settings.least_points)
+
+
+def _refined(
+    first: _Try, one: np.ndarray, two: np.ndarray, intrinsics: np.ndarray, sigma: tuple[np.ndarray, np.ndarray]
+) -> _Try:
+    """The motion that fits best near this one. What two models decompose to is rough: the right motion, unrefined, may
+    fit less well than a wrong one."""
+    rows = np.flatnonzero(first.good)
+    count = len(rows)
+    problem = BundleProblem(
+        np.array([np.eye(4), first.motion]), np.array([True, False]), first.points[rows],
+        np.repeat([0, 1], count), np.tile(np.arange(count), 2), np.concatenate([one[rows], two[rows]]),
+        np.arange(2 * count),
+    )  # fmt: skip
+    sigmas = np.concatenate([sigma[0][rows], sigma[1][rows]])
+    poses, _ = adjust_small(problem, intrinsics, sigmas, iterations=REFINING)
+    length = float(np.linalg.norm(poses[1, :3, 3]))
+    if not length > 1e-6 or not np.isfinite(poses).all():
+        return first
+    return _try(pose_of(poses[1, :3, :3], poses[1, :3, 3] / length), one, two, intrinsics, sigma)
+
+
+def _scores(tried: list[_Try]) -> list[float]:
     """Of each motion. Wrong ones may explain all matches within the usual bound, but not as exactly as the right one:
     what counts as exact is taken from the most exact motion (its median, as a standard deviation)."""
-    exact = [float(np.median(one.residual[one.good])) for one in tried if one.good.sum() > 0.7 * count]
+    count = max(one.good.sum() for one in tried)
+    exact = [float(np.median(one.residual[one.good])) for one in tried if one.good.sum() > SERIOUS_SHARE * count]
     sigma = max(1.4826 * min(exact), FINEST_PX)
     return [
         float(np.sum(np.maximum(0.0, 1.0 - (one.residual[one.good] / (EXACT_SIGMAS * sigma)) ** 2))) for one in tried

@@ -70,6 +70,16 @@ class Vocabulary:
         """How many words there are."""
         return len(self._weights)
 
+    @property
+    def centers(self) -> np.ndarray:
+        """(nodes below the root, 4) uint64, level after level."""
+        return self._centers
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(words,) float32."""
+        return self._weights
+
     def bow(self, descriptors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The word, and the node of level `node_level`, of each descriptor: both (n,) int32.
 

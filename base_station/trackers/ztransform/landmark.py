@@ -1,13 +1,12 @@
 """A landmark: what is kept of a learned target or place, so that it is recognised, and tracked, much later.
 
 It is a small picture (72 x 72 cells) of the box and half as much around it, 48 cells across the box, which is as finely
-as the tracker reads; where the box was and in which camera; and two things made from it once: the descriptor that the
-look-up compares, and the map that refines what the look-up found. All of it takes under 8 KiB.
+as the tracker reads; where the box was and in which camera; and a map made from it once, which refines what the look-up
+found. All of it takes under 8 KiB.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -34,17 +33,10 @@ class Landmark:
     box: Box | None
     picture: np.ndarray
     """uint8 (72, 72). Of a place: on the cylinder about the camera."""
-    descriptors: np.ndarray
-    """float32 (2, 48), see `lookup`."""
     step_map: np.ndarray
     """float16 (5, numbers), see `regression`."""
     learned_depth_m: float | None = None
     """How far away it was along the optical axis, where that is known."""
-
-    @property
-    def bytes(self) -> int:
-        """What it takes in memory, and in a file before compression; names and numbers counted as 128."""
-        return self.picture.nbytes + self.descriptors.nbytes + self.step_map.nbytes + 128
 
     def placement(self, camera: PinholeCamera) -> np.ndarray:
         """Where it was learned, as seen by this camera; see `kernels`."""
@@ -58,6 +50,13 @@ class Landmark:
         """
         placement = self.placement(camera)
         x, y = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
+        image = self.picture_at(x, y, camera)
+        frame = Frame(image=np.clip(np.round(image), 0, 255).astype(np.uint8), number=0, time_s=0.0, camera=camera)
+        return frame, None if self.box is None else Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))
+
+    def picture_at(self, x: np.ndarray, y: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+        """What the small picture shows at these pixels of this camera, float32; shapes (rows, columns)."""
+        placement = self.placement(camera)
         if self.box is None:
             azimuth = np.arctan((x - camera.cx) / camera.fx)
             x, y = camera.cx + camera.fx * azimuth, camera.cy + (y - camera.cy) * np.cos(azimuth)
@@ -70,8 +69,7 @@ class Landmark:
             cv2.INTER_CUBIC,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        frame = Frame(image=np.clip(np.round(image), 0, 255).astype(np.uint8), number=0, time_s=0.0, camera=camera)
-        return frame, None if self.box is None else Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))
+        return np.asarray(image, np.float32)
 
 
 def box_placement(box: Box) -> np.ndarray:
@@ -107,8 +105,3 @@ def check_name(name: str) -> None:
     """Raises ValueError, in words, for a name that is empty, too long, or could not be typed again."""
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or name != name.strip():
         raise ValueError(f"{name!r} is no name for a landmark: 1 to {LONGEST_NAME} printable characters")
-
-
-def azimuth_px(x: float, camera: PinholeCamera) -> float:
-    """Column x unrolled on the cylinder about the camera."""
-    return camera.cx + camera.fx * math.atan((x - camera.cx) / camera.fx)

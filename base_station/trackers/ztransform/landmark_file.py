@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import zipfile
@@ -13,23 +14,29 @@ import numpy as np
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.landmark import CELLS, LONGEST_NAME, Landmark, check_name
-from base_station.trackers.ztransform.lookup import SIZES, SMALL_SIZE
-from base_station.trackers.ztransform.windows import DESCRIPTOR_SIZE
+from base_station.trackers.ztransform.verification import SMALL_SIZE
 from base_station.types import Box
 
-KIND, VERSION = "zservo landmarks", 1
+KIND, VERSION, OLDEST_VERSION = "zservo landmarks", 2, 1
+"""Version 1 also held descriptors, which are now made from the picture."""
 MOST_LANDMARKS = 4096
 MOST_BYTES = 64 << 20
+MOST_PX = 1e5
+"""Of a box's place and size, and of focal lengths."""
 _SHAPES: dict[str, tuple[type, tuple[int, ...]]] = {
     "names": (np.str_, ()),
     "pictures": (np.uint8, (CELLS, CELLS)),
-    "descriptors": (np.float32, (len(SIZES), DESCRIPTOR_SIZE)),
     "step_maps": (np.float16, (5, SMALL_SIZE)),
     "boxes": (np.float64, (4,)),
     "cameras": (np.float64, (6,)),
     "depths_m": (np.float64, ()),
 }
 """Of one landmark. A place has a box of NaN, an unknown depth is NaN."""
+LANDMARK_BYTES = sum(
+    math.prod(shape) * (4 * LONGEST_NAME if kind is np.str_ else np.dtype(kind).itemsize)
+    for kind, shape in _SHAPES.values()
+)
+"""What one landmark takes in the file, before compression: all that is needed to find it again."""
 
 
 def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
@@ -41,7 +48,6 @@ def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
         "version": np.array(VERSION),
         "names": np.array([landmark.name for landmark in landmarks], f"<U{LONGEST_NAME}"),
         "pictures": _stack([landmark.picture for landmark in landmarks], "pictures"),
-        "descriptors": _stack([landmark.descriptors for landmark in landmarks], "descriptors"),
         "step_maps": _stack([landmark.step_map for landmark in landmarks], "step_maps"),
         "boxes": _stack([np.array(_box_numbers(landmark.box)) for landmark in landmarks], "boxes"),
         "cameras": _stack([np.array(_camera_numbers(landmark.camera)) for landmark in landmarks], "cameras"),
@@ -66,16 +72,22 @@ def read_landmarks(path: Path) -> list[Landmark]:
         arrays = _arrays(path)
     except OSError as error:
         raise StationError(f"{path} cannot be read ({error.strerror or error}).", usage=True) from error
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        raise StationError(f"{path} is no file of landmarks, or a damaged one ({error}).") from error
+    except zipfile.BadZipFile as error:
+        raise StationError(_unreadable(path, f"it was cut short or changed, or is something else: {error}")) from error
+    except (ValueError, KeyError, EOFError, NotImplementedError, RuntimeError) as error:
+        raise StationError(_unreadable(path, str(error).strip("'"))) from error
     except Exception as error:
         if type(error).__module__ != "zlib":
             raise
-        raise StationError(f"{path} is a damaged file of landmarks ({error}).") from error
+        raise StationError(_unreadable(path, str(error))) from error
     try:
         return [_landmark(arrays, number) for number in range(len(arrays["names"]))]
     except (ValueError, OverflowError) as error:
-        raise StationError(f"{path} is a damaged file of landmarks ({error}).") from error
+        raise StationError(_unreadable(path, str(error))) from error
+
+
+def _unreadable(path: Path, why: str) -> str:
+    return f"{path} is no file of landmarks, or a damaged one ({why}). Give another with --memory, or learn anew."
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -86,9 +98,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     with np.load(path, allow_pickle=False) as file:
         if "kind" not in file or file["kind"].shape != () or str(file["kind"]) != KIND:
             raise ValueError("it says nothing of landmarks")
-        version = file["version"]
-        if version.shape != () or int(version) != VERSION:
-            raise ValueError(f"version {version}, this program reads {VERSION}")
+        _check_version(path, file["version"] if "version" in file else np.array("unknown"))
         arrays = {name: file[name] for name in _SHAPES}
     count = arrays["names"].shape[:1]
     for name, (kind, shape) in _SHAPES.items():
@@ -99,25 +109,36 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _check_version(path: Path, version: np.ndarray) -> None:
+    if version.shape != () or not np.issubdtype(version.dtype, np.integer):
+        raise ValueError("it does not tell its version")
+    if not OLDEST_VERSION <= int(version) <= VERSION:
+        raise StationError(
+            f"{path} is of version {int(version)}, and this program reads {OLDEST_VERSION} to {VERSION}:"
+            " another version of this program wrote it. Use that one, or learn the landmarks again."
+        )
+
+
 def _landmark(arrays: dict[str, np.ndarray], number: int) -> Landmark:
     """Raises ValueError for numbers that make no landmark."""
     name, depth_m = str(arrays["names"][number]), float(arrays["depths_m"][number])
     check_name(name)
     width, height, fx, fy, cx, cy = arrays["cameras"][number].tolist()
-    descriptors, step_map = arrays["descriptors"][number], arrays["step_maps"][number]
+    step_map = arrays["step_maps"][number]
     if not np.isfinite(arrays["cameras"][number]).all() or not (1 <= width <= 8192 and 1 <= height <= 8192):
         raise ValueError(f"{name}: no camera")
-    if min(fx, fy) <= 0 or max(abs(cx), abs(cy)) > 1e5:
+    if min(fx, fy) <= 0 or max(fx, fy, abs(cx), abs(cy)) > MOST_PX:
         raise ValueError(f"{name}: no camera")
-    if not np.isfinite(descriptors).all() or not np.isfinite(step_map).all() or depth_m <= 0 or np.isinf(depth_m):
+    if not np.isfinite(step_map).all() or depth_m <= 0 or np.isinf(depth_m):
         raise ValueError(f"{name}: numbers out of range")
     box = arrays["boxes"][number]
+    if not np.isnan(box).all() and not (np.abs(box) <= MOST_PX).all():
+        raise ValueError(f"{name}: its box is out of range")
     return Landmark(
         name=name,
         camera=PinholeCamera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy),
         box=None if np.isnan(box).all() else Box(*box.tolist()),
         picture=arrays["pictures"][number].copy(),
-        descriptors=descriptors.copy(),
         step_map=step_map.copy(),
         learned_depth_m=None if np.isnan(depth_m) else depth_m,
     )

@@ -19,9 +19,13 @@ PIXELS_PER_READ = 2.4
 
 
 class Pyramid:
-    """One frame's sizes. Pixel centres are at integers, so x of the full frame is (x - (scale - 1) / 2) / scale."""
+    """One frame's sizes. Pixel centres are at integers, so x of the full frame is (x - (scale - 1) / 2) / scale.
 
-    def __init__(self, image: np.ndarray) -> None:
+    `first_row`: of the whole frame, where the image is a band of it.
+    """
+
+    def __init__(self, image: np.ndarray, first_row: int = 0) -> None:
+        self.first_row = first_row
         self.image = _read_only(image)
         """The frame itself, uint8 (height, width), contiguous and not writable: the one type the kernels know."""
         self._sizes = {1: self.image}

@@ -36,6 +36,8 @@ class RecallTracker:
         if not self._learned:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="the landmark was not taken up yet")
         if self._seen_s is None:
+            if not frame.is_whole:
+                return TrackerResult(state=TrackingState.LOST, reason="looked for in whole frames only")
             sighting = next(iter(self._memory.find(frame)), None)
             if sighting is None:
                 name = self._landmark.name
@@ -48,6 +50,10 @@ class RecallTracker:
         elif frame.time_s - self._seen_s > PATIENCE_S:
             self._seen_s = None
         return result
+
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`. All while it is looked up."""
+        return None if self._seen_s is None else self._tracker.wanted_rows()
 
     def close(self) -> None:
         """Let go of the landmark."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from base_station.trackers.ztransform.acquisition import Acquisition, AcquisitionSettings
-from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH
+from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, Y
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.refinement import refine
 from base_station.trackers.ztransform.regression import RegressionSettings, learn_maps
@@ -84,7 +84,8 @@ class RigidFollower:
     def follow(
         self, pyramid: Pyramid, lens: np.ndarray, predicted: np.ndarray, last: np.ndarray, enough: float
     ) -> Look:
-        """Refine from the prediction; if that looks less like it than `enough`, from further afield."""
+        """Refine from the prediction; if that looks less like it than `enough`, from further afield. Does so in a band
+        of the frame too."""
         best = self._refine(pyramid, predicted, lens, _FOLLOW)
         for start in (predicted, last):
             if best.confidence < enough:
@@ -105,11 +106,15 @@ class RigidFollower:
 
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
         placement = start.copy()
+        if pyramid.first_row:
+            placement[Y] -= pyramid.first_row
+            lens = lens - (0, 0, 0, pyramid.first_row)
         confidence, share, _ = refine(
             *self._reader.source(pyramid, start), lens, placement, self._learned_patch, self._learned_signature,
             self._maps, levels, _FREE_PLACE if self._is_place else _FREE, self._settings.tolerance,
             self._patch, self._seen, self._signature, *self._reader.plan,
         )  # fmt: skip
+        placement[Y] += pyramid.first_row
         aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
         low, high = self._settings.aspects
         return Look(

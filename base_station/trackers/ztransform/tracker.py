@@ -14,6 +14,7 @@ import numpy as np
 
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
+from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
 from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
 from base_station.trackers.ztransform.motion import Motion
 from base_station.trackers.ztransform.outline import left_side, lens_of, outline, place_placement, to_pixel
@@ -51,8 +52,13 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.78
+    firm: float = 0.85
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
+    firm_aspects: tuple[float, float] = (0.8, 1.15)
+    """Width against height, both against the learned ones, of a target that is seen firm before it is proven. Turning
+    makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
+    hold_sharpness: float = 4.5
+    """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
@@ -61,6 +67,8 @@ class ZTransformSettings:
     """While a proven target is seen firm, the loose follower learns from every so many frames only."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
+    hold_share: float = 0.8
+    """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
     """Following what keeps its shape."""
     loose: LooseSettings = field(default_factory=LooseSettings)
@@ -71,6 +79,8 @@ USUAL_RATE = 0.05
 """Of the running mean of confidences, per frame."""
 LINGER_FRAMES = 15
 """A loose target that was lost is looked for where it was for so long, then around there too."""
+ROOM, ROOM_PX = 0.06, 6.0
+"""Of a target's height, and in px: how far it may move up or down, or grow, until the next band comes."""
 RING = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
@@ -80,6 +90,7 @@ class _Learned:
 
     placement: np.ndarray
     shape: tuple[int, int]
+    horizon_px: float
     is_place: bool
 
 
@@ -109,7 +120,7 @@ class ZTransformTracker:
         texture = min(texture_of(patch, 1), self._pixel_texture(frame, target))
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the target's texture is {texture:.1f} grey levels above the noise")
-        self._learned = _Learned(placement, frame.image.shape, target is None)
+        self._learned = _Learned(placement, frame.shape, frame.camera.cy, target is None)
         self._rigid.learn(pyramid, placement, lens, is_place=target is None)
         if target is not None:
             self._loose.start(pyramid, placement)
@@ -128,35 +139,54 @@ class ZTransformTracker:
         learned = self._learned
         if learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.image.shape != learned.shape:
-            (rows, columns), (old_rows, old_columns) = frame.image.shape, learned.shape
+        if frame.shape != learned.shape:
+            (rows, columns), (old_rows, old_columns) = frame.shape, learned.shape
             return _lost(f"the frame is {columns}x{rows}, learned in {old_columns}x{old_rows}", 0.0)
         lens = lens_of(frame.camera, curved=learned.is_place)
-        pyramid = Pyramid(frame.image)
-        look, is_believed = self._look(pyramid, frame.time_s, lens)
-        if is_believed and self._is_possible(look, frame.image.shape):
+        pyramid = Pyramid(frame.image, frame.first_row)
+        look, is_believed = self._look(pyramid, frame.time_s, lens, is_whole=frame.is_whole)
+        if is_believed and self._is_possible(look, frame.shape):
             return self._tracked(frame, look, lens)
         self._is_tracking = False
         self._frames_lost += 1
         return _lost(self._why(frame, look), look.confidence)
 
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`. All, unless the target is proven rigid and seen firm: searching needs the whole frame,
+        and so does learning what surrounds the target."""
+        learned, p = self._learned, self._motion.last
+        if learned is None or learned.is_place or not (self._is_tracking and self._is_proven and self._was_firm):
+            return None
+        reach = p[HEIGHT] / 2 * (1 + ROOM) + ROOM_PX
+        nearer = 1 / (1 - abs(p[KEYSTONE]) / 2)  # one side of a picture seen aslant is taller
+        ends = [p[Y] + side * reach for side in (-1, 1)]
+        ends += [learned.horizon_px + nearer * (y - learned.horizon_px) for y in ends]
+        return math.floor(min(ends)), math.ceil(max(ends)) + 1
+
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find what was learned again: a `Landmark`. `recall.py` makes a tracker of one."""
+        return LANDMARK_BYTES if self._learned is not None else 0
+
     def close(self) -> None:
         """Let go of what was learned."""
         self._learned = None
 
-    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> tuple[Look, bool]:
+    def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray, *, is_whole: bool = True) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
         assert self._learned is not None
-        settings, followed, kept = self._settings, None, False
+        settings, followed = self._settings, None
         self._frames += 1
         near = self._is_tracking or self._motion.age_s(time_s) < settings.linger_s
         if near and not (self._is_loose and self._frames % settings.rigid_every):
             followed = self._follow(pyramid, time_s, lens)
-            kept = followed.confidence >= max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
-            usual = followed.confidence >= self._usual_confidence - 2 * settings.surprise
-            if kept and usual and (self._learned.is_place or followed.confidence >= settings.firm):
-                self._seen_firm(pyramid, followed, time_s)
+            is_agreed = not self._is_loose or (is_whole and self._is_agreed(pyramid, followed))
+            if self._is_firm(followed) and is_agreed:
+                self._seen_firm(pyramid, followed, time_s, is_whole=is_whole)
                 return followed, True
+        if not is_whole:  # a search needs all of the frame, and once the target is lost that is what comes
+            look = followed or Look(self._motion.last, 0.0, 0.0)
+            return look, not self._is_loose and self._is_kept(look)
         if self._is_loose:
             loose = self._follow_loose(pyramid, time_s)
             if loose is not None:
@@ -164,7 +194,8 @@ class ZTransformTracker:
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
         found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
-        if found.confidence >= settings.regain_confidence and (not followed or found.confidence > followed.confidence):
+        least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
+        if found.confidence >= least and self._is_agreed(pyramid, found):
             self._seen_firm(pyramid, found, time_s)
             return found, True
         if not (self._learned.is_place or self._is_loose) and (near or not self._is_proven):
@@ -172,26 +203,58 @@ class ZTransformTracker:
             if loose is not None:
                 return loose, True
         if followed:
-            return followed, kept
+            return followed, self._is_kept(followed)
         return found, False
 
     @property
     def _is_proven(self) -> bool:
         return self._frames_firm >= self._settings.proven_frames
 
+    @property
+    def _was_firm(self) -> bool:
+        """It was when it was seen last."""
+        return self._motion.age_s(self._firm_s) >= 0
+
+    def _is_kept(self, look: Look) -> bool:
+        """Tracking goes on with this look for want of a better one."""
+        settings, learned = self._settings, self._learned
+        assert learned is not None
+        least = max(settings.keep_confidence, settings.keep_of_usual * self._usual_confidence)
+        if not (learned.is_place or self._is_proven):
+            least = max(least, settings.regain_confidence)
+        return look.confidence >= least
+
+    def _is_firm(self, look: Look) -> bool:
+        """The signature alone is enough."""
+        settings, learned = self._settings, self._learned
+        assert learned is not None
+        if learned.is_place:
+            usual = self._usual_confidence - 2 * settings.surprise
+            return look.confidence >= usual and self._is_kept(look)
+        aspect = look.placement[WIDTH] / look.placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
+        low, high = settings.firm_aspects
+        return look.confidence >= settings.firm and (self._is_proven or low <= aspect <= high)
+
+    def _is_agreed(self, pyramid: Pyramid, look: Look) -> bool:
+        """The loose follower sees the target there too: the two err differently."""
+        assert self._learned is not None
+        if self._learned.is_place:
+            return True
+        return self._loose.resembles(pyramid, look.placement)
+
     def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> Look:
         """The signature, from where the target should be now."""
         enough = max(self._usual_confidence - self._settings.surprise, self._settings.keep_confidence)
         return self._rigid.follow(pyramid, lens, self._motion.predict(time_s), self._motion.last, enough)
 
-    def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float) -> None:
-        """The signature was seen; now and then the loose follower learns how the target looks there."""
+    def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float, *, is_whole: bool = True) -> None:
+        """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
         self._is_loose, self._firm_s = False, time_s
         if look.confidence < self._settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+        if not is_whole or look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
             return
         if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
             self._loose.adapt(pyramid)
@@ -206,10 +269,13 @@ class ZTransformTracker:
             start[X] += dx * side
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
-        if sighting.sharpness < settings.loose.least_sharpness:
-            return None
+        clear = sighting.sharpness >= settings.loose.least_sharpness
+        if not clear:
+            held = self._is_loose and self._is_tracking and sighting.sharpness >= settings.hold_sharpness
+            if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
+                return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
-        placement = sighting.placement if proven else self._loose.adapt(pyramid)
+        placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
         self._is_loose = not proven
         confidence = sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness)
         return Look(placement, confidence, 1.0, tells_angle=False)
@@ -249,8 +315,8 @@ class ZTransformTracker:
 
     def _why(self, frame: Frame, look: Look) -> str:
         """What probably happened, in words."""
-        settings, (rows, columns) = self._settings, frame.image.shape
-        texture = texture_of(frame.image, max(1, columns // 32))
+        settings, (rows, columns) = self._settings, frame.shape
+        texture = texture_of(frame.image, max(1, min(columns // 32, frame.image.shape[0] // 3)))
         if texture < settings.least_texture:
             return f"featureless: the view's texture is {texture:.1f} grey levels"
         ahead = self._motion.predict(frame.time_s)
@@ -299,3 +365,10 @@ class ZTransformTracker:
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
     return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(confidence, 0.0), 1.0))
+
+
+def _share_inside(placement: np.ndarray, shape: tuple[int, ...]) -> float:
+    """Of an upright target that lies in a frame of this shape."""
+    box = Box.around(*(float(v) for v in placement[[X, Y, WIDTH, HEIGHT]]))
+    inside = box.clipped(shape[1], shape[0])
+    return inside.width * inside.height / (box.width * box.height) if inside else 0.0

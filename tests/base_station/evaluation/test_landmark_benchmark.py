@@ -34,3 +34,4 @@ def test_wrong_use_is_told(tmp_path, capsys):
     figures = tmp_path / "figures.json"
     assert main(["--landmarks", "3", "--frames", "3", "--json", str(figures)]) == 0
     assert json.loads(figures.read_text())["landmarks"] == 3
+    assert "look-up among 3 landmarks" in capsys.readouterr().out

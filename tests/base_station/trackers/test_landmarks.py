@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import zipfile
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
-from base_station.trackers.ztransform.landmark_file import read_landmarks, write_landmarks
+from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES, read_landmarks, write_landmarks
 from base_station.trackers.ztransform.lookup import LandmarkMemory
-from base_station.trackers.ztransform.lookup_kernels import best_positions, gather_profiles, inverse_lengths
+from base_station.trackers.ztransform.lookup_kernels import (
+    best_windows,
+    compare_slopes,
+    gather_bands,
+    power_of,
+    put_together,
+)
 from base_station.trackers.ztransform.recall import RecallTracker
+from base_station.trackers.ztransform.windows import FUNCTIONS, WINDOWS, descriptor_of, known_slopes
 from base_station.types import Box, Frame, TrackingState
 from tests.base_station.trackers.conftest import World
 
@@ -42,8 +49,11 @@ def worlds() -> list[World]:
 def memory(worlds: list[World]) -> LandmarkMemory:
     """500 landmarks: five of each world."""
     memory = LandmarkMemory()
-    for (n, world), number in itertools.product(enumerate(worlds), range(len(SPOTS))):
-        memory.learn(f"{n}/{number}", world.frame(world.view()), box_at(number))
+    with threadpool_limits(1):  # more threads than free cores make small systems of equations slow
+        for n, world in enumerate(worlds):
+            frame = world.frame(world.view())
+            for number in range(len(SPOTS)):
+                memory.learn(f"{n}/{number}", frame, box_at(number))
     return memory
 
 
@@ -96,9 +106,15 @@ def test_nothing_is_seen_where_nothing_was_learned(memory):
     assert find(memory, World(0), gain=0.0, offset=128) == {}, "a blank wall"
 
 
-def test_a_landmark_takes_less_than_8_KiB(memory):
-    assert max(landmark.bytes for landmark in memory.landmarks) <= 8192
+def test_a_landmark_takes_less_than_8_KiB(memory, tmp_path):
+    """In the file, and less than what is told once it is compressed."""
     assert len(memory) == 500
+    write_landmarks(tmp_path / "all.npz", memory.landmarks)
+    with zipfile.ZipFile(tmp_path / "all.npz") as archive:
+        whole = sum(entry.file_size for entry in archive.infolist())
+    assert whole / 500 == pytest.approx(LANDMARK_BYTES, rel=0.001)
+    assert LANDMARK_BYTES <= 8192
+    assert (tmp_path / "all.npz").stat().st_size <= 500 * LANDMARK_BYTES
 
 
 def test_only_one_is_looked_for_when_only_one_is_asked_for(memory, worlds):
@@ -202,7 +218,7 @@ def test_what_is_written_is_read(tmp_path, world):
     for landmark, kept in zip(memory.landmarks, again, strict=True):
         assert (kept.name, kept.camera, kept.box) == (landmark.name, landmark.camera, landmark.box)
         assert kept.learned_depth_m == landmark.learned_depth_m
-        for field in ("picture", "descriptors", "step_map"):
+        for field in ("picture", "step_map"):
             assert np.array_equal(getattr(kept, field), getattr(landmark, field))
     write_landmarks(path, [])
     assert read_landmarks(path) == []
@@ -235,8 +251,8 @@ def broken(path, world, how: str) -> None:
         np.savez(path, x=np.zeros(3))
     elif how == "pickle":
         np.savez(path, **{**arrays, "names": np.array([{}], object)})
-    elif how == "version":
-        np.savez(path, **{**arrays, "version": np.array(2)})
+    elif how == "no version":
+        np.savez(path, **{**arrays, "version": np.array("x")})
     elif how == "two of one name":
         np.savez(path, **{k: np.concatenate([v, v]) if v.ndim else v for k, v in arrays.items()})
     else:
@@ -249,16 +265,36 @@ def broken(path, world, how: str) -> None:
 @pytest.mark.parametrize(
     "how",
     [
-        "foreign", "empty", "cut", "flipped", "zip", "bomb", "other arrays", "pickle", "version", "two of one name",
-        "descriptors=nan", "step_maps=inf", "cameras=nan", "cameras=-5", "cameras=1e9", "depths_m=-1", "boxes=nan",
+        "foreign", "empty", "cut", "flipped", "zip", "bomb", "other arrays", "pickle", "no version", "two of one name",
+        "step_maps=inf", "cameras=nan", "cameras=-5", "cameras=1e9", "depths_m=-1", "boxes=nan",
+        "boxes=1e308",
     ],
 )  # fmt: skip
 def test_a_broken_file_is_one_sentence(tmp_path, world, how):
     path = tmp_path / "landmarks.npz"
     broken(path, world, how)
-    with pytest.raises(StationError, match=r"landmarks\.npz is (no file of landmarks|a damaged file)") as error:
+    with pytest.raises(StationError, match=r"landmarks\.npz is no file of landmarks, or a damaged one") as error:
         read_landmarks(path)
     assert "\n" not in str(error.value)
+    assert "--memory" in str(error.value), "what to do"
+
+
+def test_a_file_of_version_1_is_read(tmp_path, world):
+    """It held descriptors besides."""
+    memory, path = LandmarkMemory(), tmp_path / "landmarks.npz"
+    memory.learn("a", world.frame(world.view()), box_at(0))
+    write_landmarks(path, memory.landmarks)
+    np.savez(path, **{**np.load(path), "version": np.array(1), "descriptors": np.zeros((1, 2, 48), np.float32)})
+    assert [landmark.name for landmark in read_landmarks(path)] == ["a"]
+
+
+def test_a_file_of_a_later_version_says_so(tmp_path, world):
+    memory, path = LandmarkMemory(), tmp_path / "landmarks.npz"
+    memory.learn("a", world.frame(world.view()), box_at(0))
+    write_landmarks(path, memory.landmarks)
+    np.savez(path, **{**np.load(path), "version": np.array(9)})
+    with pytest.raises(StationError, match="is of version 9, and this program reads 1 to 2"):
+        read_landmarks(path)
 
 
 def test_a_file_that_is_not_there(tmp_path):
@@ -272,37 +308,81 @@ def test_a_file_that_is_not_there(tmp_path):
 # -- the kernels against what they mean --------------------------------------------------------------------------------
 
 
-def test_profiles_are_the_sums_over_bands():
+SIDE, BANDS, DEPTH = 12, 3, 4
+
+
+def levels_of(shapes, first_rows):
+    """Some random levels: their pictures, and what the kernels take: cells and table."""
     rng = np.random.default_rng(0)
-    side, bands, depth = 12, 3, 4
-    shapes, tops = [(30, 41), (20, 26), (15, 20)], np.array([5, -1, 3])
     levels = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
-    cells, widths = np.concatenate([level.ravel() for level in levels]), np.array([shape[1] for shape in shapes])
-    offsets = np.cumsum([0, *(level.size for level in levels)])[:3]
-    counts = [(width - side) // 2 + 1 if top >= 0 else 0 for width, top in zip(widths, tops, strict=True)]
-    profiles, starts = np.empty((side, 2 * bands, sum(counts)), np.float32), np.empty(4, np.int64)
-    gather_profiles(cells, offsets, widths, tops, side, bands, profiles, starts)
-    assert starts.tolist() == np.cumsum([0, *counts]).tolist()
-    for n, level in enumerate(levels):
-        for k in range(counts[n]):
-            window = level[tops[n] : tops[n] + side, 2 * k : 2 * k + side]
-            for b in range(bands):
-                cut = slice(b * depth, (b + 1) * depth)
-                assert np.allclose(profiles[:, b, starts[n] + k], window[cut].sum(0), atol=1e-4)
-                assert np.allclose(profiles[:, bands + b, starts[n] + k], window[:, cut].sum(1), atol=1e-4)
+    offsets = np.cumsum([0, *(level.size for level in levels)])[:-1]
+    table = np.array([(o, *shape, first) for o, shape, first in zip(offsets, shapes, first_rows, strict=True)])
+    return levels, np.concatenate([level.ravel() for level in levels]), table
 
 
-def test_the_best_position_is_that_of_the_largest_cosine():
+def plain_descriptor(window):
+    """What a descriptor means: sums over bands of rows, then of columns, read by WINDOWS, of length 1."""
+    bands = [window[b * DEPTH : (b + 1) * DEPTH].sum(0) for b in range(BANDS)]
+    bands += [window[:, b * DEPTH : (b + 1) * DEPTH].sum(1) for b in range(BANDS)]
+    read = (WINDOWS @ np.stack(bands, 1)).ravel()
+    return read / np.sqrt((read**2).sum() + 1e-2)
+
+
+def test_descriptors_are_what_the_poles_read_of_the_sums_over_bands():
+    levels, cells, table = levels_of([(30, 41), (20, 26), (17, 20)], [2, 0, 1])
+    rows = np.array([3, -1, 1])
+    begins, place = np.full((2, 3, 7), -1), 0
+    for n, row in ((0, 3), (2, 1)):
+        count = (levels[n].shape[1] - DEPTH) // 2 + 1
+        for b in range(BANDS):
+            begins[0, n, row + b] = place + b * count
+        begins[1, n, row] = place + BANDS * count
+        place += 4 * count
+    taps = np.empty((SIDE, place), np.float32)
+    gather_bands(cells, table, begins, taps)
+    read, power = WINDOWS @ taps, np.empty(place, np.float32)
+    power_of(read, power)
+    starts, out = np.empty(4, np.int64), np.empty((2 * BANDS * FUNCTIONS, 40), np.float32)
+    put_together(read, power, table, begins, rows, SIDE, starts, out)
+    assert starts.tolist() == [0, 15, 15, 20]
+    for n, row in ((0, 3), (2, 1)):
+        top = table[n, 3] + DEPTH * row
+        for k in range(starts[n + 1] - starts[n]):
+            window = levels[n][top : top + SIDE, 2 * k : 2 * k + SIDE]
+            assert np.allclose(out[:, starts[n] + k], plain_descriptor(window), atol=1e-5)
+            assert np.allclose(descriptor_of(np.ascontiguousarray(window)), plain_descriptor(window), atol=1e-5)
+
+
+def test_the_best_window_is_that_of_the_largest_product():
     rng = np.random.default_rng(1)
-    read = rng.normal(size=(10, 40)).astype(np.float32)
-    descriptors = rng.normal(size=(3, 10)).astype(np.float32)
-    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
+    products = rng.uniform(-0.5, 1, (3, 40)).astype(np.float32)
     starts, low, high = np.array([0, 10, 25, 40]), np.array([1, 1, 2]), np.array([3, 2, 2])
-    inverse, best, score = np.empty(40, np.float32), np.empty(3, np.int64), np.empty(3, np.float32)
-    inverse_lengths(read, inverse)
-    best_positions(descriptors @ read[:, 10:], inverse, 10, starts, low, high, best, score)
-    cosine = descriptors @ read / np.linalg.norm(read, axis=0)
+    score, level, column = np.empty(3, np.float32), np.empty(3, np.int64), np.empty(3, np.int64)
+    best_windows(products[:, 10:].copy(), 10, starts, low, high, score, level, column)
     for i, cut in enumerate((slice(10, 40), slice(10, 25))):
-        assert best[i] == 10 + cosine[i, cut].argmax()
-        assert score[i] == pytest.approx(cosine[i, cut].max(), abs=5e-3)
-    assert (best[2], score[2]) == (-1, -1)
+        assert score[i] == products[i, cut].max()
+        assert starts[level[i]] + column[i] // 2 == 10 + products[i, cut].argmax()
+    assert (score[2], level[2]) == (-1, -1)
+
+
+def test_slopes_are_compared_a_cell_further_to_all_sides():
+    """Against normalised correlation of np.gradient's inner parts; in a corner of the level as well."""
+
+    def plain_slopes(cells):
+        return np.concatenate([(cells[:, 2:] - cells[:, :-2]).ravel(), (cells[2:] - cells[:-2]).ravel()])
+
+    (level,), cells, table = levels_of([(24, 30)], [0])
+    places = [(0, 0, 1, 0), (7, 9, -1, 1), (12, 18, 0, -1), (5, 6, 0, 0)]
+    known = np.stack([known_slopes(level[y + dy : y + dy + 12, x + dx : x + dx + 12]) for y, x, dx, dy in places])
+    top, column = np.array([place[:2] for place in places]).T
+    score, off = np.empty(4, np.float32), np.zeros((4, 2), np.int64)
+    which = np.arange(4)
+    compare_slopes(cells, table, 0 * which, top, column, 0.5 * known, which, score, off)
+    assert np.allclose(score, 0.5, atol=1e-4), "the cosine is in proportion to what is known"
+    assert off.tolist() == [list(place[2:]) for place in places]
+    other = known_slopes(level[2:14, 2:14])
+    compare_slopes(cells, table, 0 * which, top, column, other[None], 0 * which, score, off)
+    one = plain_slopes(level[2:14, 2:14])
+    around = [plain_slopes(level[5 + dy : 17 + dy, 6 + dx : 18 + dx]) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    cosines = [float(one @ two / np.linalg.norm(one) / np.linalg.norm(two)) for two in around]
+    assert score[3] == pytest.approx(max(cosines), abs=1e-3)

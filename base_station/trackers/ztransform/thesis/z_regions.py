@@ -62,23 +62,27 @@ class ZRegionsTracker:
             raise ValueError(f"the target or the frame is too small: {box.width:.0f}x{box.height:.0f} px of {width}")
         first = round(box.center_px[1] - settings.rows / 2 + 0.5)
         self._rows = max(first, 0), min(max(first, 0) + settings.rows, height)
-        texture = self._texture(frame.image)
+        rows = frame.rows(*self._rows)
+        texture = _texture(rows)
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the texture of the target's rows is {texture:.1f} grey levels")
-        self._shape = frame.image.shape
-        self._profile = self._read(frame.image)
+        self._shape = frame.shape
+        self._profile = _mean_row(rows)
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
         if self._profile is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.image.shape != self._shape:
-            now, then = frame.image.shape, self._shape
+        if frame.shape != self._shape:
+            now, then = frame.shape, self._shape
             return _lost(f"the frame is {now[1]}x{now[0]}, learned in {then[1]}x{then[0]}")
-        texture = self._texture(frame.image)
+        if not frame.has_rows(*self._rows):
+            return _lost("the frame is a band without the target's rows")
+        rows = frame.rows(*self._rows)
+        texture = _texture(rows)
         if texture < self._settings.least_texture:
             return _lost(f"featureless: the texture of the target's rows is {texture:.1f} grey levels")
-        changes = self.changes(frame.image)
+        changes = self._changes(_mean_row(rows))
         most = int(changes.argmax())
         if changes[most] < self._settings.least_change:
             return TrackerResult(state=TrackingState.TRACKING, confidence=1.0)
@@ -91,28 +95,32 @@ class ZRegionsTracker:
             box=Box(first, self._rows[0], beyond - first, self._rows[1] - self._rows[0]),
         )
 
-    def changes(self, image: np.ndarray) -> np.ndarray:
-        """How much each region differs from the learned view, in grey levels of that view's light; shape (regions,)."""
-        assert self._profile is not None
-        profile = _in_the_light_of(self._read(image), self._profile)
-        return np.abs(self._transform(profile) - self._transform(self._profile)).mean((1, 2))
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`: always the same."""
+        return None if self._profile is None else self._rows
 
     def close(self) -> None:
         """Let go of what was learned."""
         self._profile = None
 
-    def _read(self, image: np.ndarray) -> np.ndarray:
-        band = image[self._rows[0] : self._rows[1]]
-        return cv2.reduce(band, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel() / len(band)
-
-    def _texture(self, image: np.ndarray) -> float:
-        band = image[self._rows[0] : self._rows[1]]
-        return texture_of(band, max(1, min(band.shape[1] // 32, len(band) // 3)))
+    def _changes(self, profile: np.ndarray) -> np.ndarray:
+        """How much each region differs from the learned view, in grey levels of that view's light; shape (regions,)."""
+        assert self._profile is not None
+        lit = _in_the_light_of(profile, self._profile)
+        return np.abs(self._transform(lit) - self._transform(self._profile)).mean((1, 2))
 
     def _transform(self, profile: np.ndarray) -> np.ndarray:
         out = np.empty((self._settings.regions, len(self._z), 2))
         transform_regions(profile, self._settings.regions, self._z, out)
         return out
+
+
+def _mean_row(rows: np.ndarray) -> np.ndarray:
+    return cv2.reduce(rows, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel() / len(rows)
+
+
+def _texture(rows: np.ndarray) -> float:
+    return texture_of(rows, max(1, min(rows.shape[1] // 32, len(rows) // 3)))
 
 
 def _in_the_light_of(profile: np.ndarray, learned: np.ndarray) -> np.ndarray:

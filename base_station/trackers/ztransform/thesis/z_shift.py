@@ -13,6 +13,7 @@ The thesis's z = 0.9 is `ZShiftSettings.thesis()`; why that fails on real frames
 from __future__ import annotations
 
 import cmath
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -24,6 +25,8 @@ from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 LARGEST_GROWTH = 1e12
 """Of |z|^span or its inverse: stepping by (3.4) multiplies the rounding errors by it."""
+COLUMN_ROOM_PX = 48
+"""Of a band of rows, above and below the target."""
 
 
 def _spiral(*reaches_px: float) -> tuple[complex, ...]:
@@ -106,9 +109,9 @@ class ZShiftTracker:
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the target's texture is {texture:.1f} grey levels")
         self._learned_at = self._last = np.array(box.center_px)
-        self._shape = frame.image.shape
+        self._shape, self._is_tracking = frame.shape, True
         self._rest = self._last - np.floor(self._last)  # by so much the middle lies beside a whole pixel
-        x, y = self._anchor(self._last)
+        x, y = _anchor(frame.image, self._last)
         row, column = (self._profile(frame.image, axis, self._last) for axis in (0, 1))
         self._axes = self._predict(row, x), self._predict(column, y)
 
@@ -116,12 +119,14 @@ class ZShiftTracker:
         """See `base.Tracker.update`."""
         if self._axes is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.image.shape != self._shape:
-            now, then = frame.image.shape, self._shape
+        self._is_tracking = False
+        if frame.shape != self._shape:
+            now, then = frame.shape, self._shape
             return _lost(f"the frame is {now[1]}x{now[0]}, learned in {then[1]}x{then[0]}")
-        settings, place, residuals = self._settings, self._last.copy(), [0.0, 0.0]
+        settings, first_row = self._settings, np.array([0, frame.first_row])
+        place, residuals = self._last - first_row, [0.0, 0.0]
         for axis in (0, 1, 0) if settings.vertical else (0,):  # the row again, at the height that was found
-            profile, anchor = self._profile(frame.image, axis, place), self._anchor(place)[axis]
+            profile, anchor = self._profile(frame.image, axis, place), _anchor(frame.image, place)[axis]
             seen = self._transform(profile, anchor)
             index, residuals[axis], gain = fit_shift(self._axes[axis].predicted, seen, settings.any_light)
             if not settings.gains[0] <= gain <= settings.gains[1]:
@@ -130,9 +135,10 @@ class ZShiftTracker:
         worst = max(residuals)
         if worst > settings.largest_residual:
             return _lost(f"the target is hidden or gone: no shift explains the view (residual {worst:.2f})")
+        place += first_row
         if not all(0 <= place[axis] <= self._shape[1 - axis] - 1 for axis in (0, 1)):
             return _lost("the target left the frame")
-        self._last = place
+        self._last, self._is_tracking = place, True
         x, y = float(place[0]), float(place[1])
         return TrackerResult(
             state=TrackingState.TRACKING,
@@ -144,14 +150,22 @@ class ZShiftTracker:
             box=Box.around(x, y, *self._size),
         )
 
+    def wanted_rows(self) -> tuple[int, int] | None:
+        """See `base.WantsRows`: the target's, and some around it for the column's transforms. All when lost."""
+        if self._axes is None or not self._is_tracking:
+            return None
+        middle, half = float(self._last[1]), (self._settings.rows or self._size[1]) / 2
+        reach = half + (COLUMN_ROOM_PX if self._settings.vertical else 1)
+        return math.floor(middle - reach), math.ceil(middle + reach) + 1
+
     def close(self) -> None:
         """Let go of what was learned."""
         self._axes = None
 
-    def _anchor(self, place: np.ndarray) -> tuple[int, int]:
-        """Column and row, whole and in the frame, from which to look for what is about there."""
-        x, y = np.floor(place)
-        return int(min(max(x, 0), self._shape[1] - 1)), int(min(max(y, 0), self._shape[0] - 1))
+    @property
+    def landmark_bytes(self) -> int:
+        """What must be kept to find it again: the row and the column, four bytes a pixel."""
+        return 4 * sum(self._shape) if self._axes is not None else 0
 
     def _profile(self, image: np.ndarray, axis: int, place: np.ndarray) -> np.ndarray:
         """Axis 0: the mean row of the band about the place, axis 1: the mean column; float64, as long as the frame."""
@@ -182,6 +196,12 @@ class ZShiftTracker:
         """The sides asked for, (..., zs, sides); a window that reaches far gathers more, and would drown the others."""
         weights = np.sqrt(np.maximum(np.abs(1 - np.abs(self._z) ** -2.0), 1e-3))
         return transforms[..., : 2 if self._settings.both_sides else 1] * weights[:, None]
+
+
+def _anchor(image: np.ndarray, place: np.ndarray) -> tuple[int, int]:
+    """Column and row, whole and in the image, from which to look for what is about there."""
+    x, y = np.floor(place)
+    return int(min(max(x, 0), image.shape[1] - 1)), int(min(max(y, 0), image.shape[0] - 1))
 
 
 def _lost(reason: str) -> TrackerResult:
