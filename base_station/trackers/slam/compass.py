@@ -12,7 +12,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from base_station.trackers.ztransform.tracker import ZTransformTracker
+from base_station.trackers.ztransform.regression import RegressionSettings
+from base_station.trackers.ztransform.rigid import RigidSettings
+from base_station.trackers.ztransform.tracker import ZTransformSettings, ZTransformTracker
 from base_station.types import Frame, TrackerResult, TrackingState
 
 
@@ -25,7 +27,12 @@ class CompassSettings:
     least_confidence: float = 0.8
     """The view's resemblance, at which the same happens: the robot drives, or the light changes."""
     largest_zoom: float = 1.1
-    """The view's zoom, in or out."""
+    """The view's zoom, in or out, at which the same happens."""
+    samples: int = 60
+    """Disturbances from which a view is learned (see `RegressionSettings`). A tenth of what a target gets: views follow
+    each other several times a second, and each is looked at from nearby only."""
+    impossible_zoom: float = 1.3
+    """The view is seen again so much larger or smaller: the camera was carried, and where to is not told by a shift."""
 
 
 class ZCompass:
@@ -37,7 +44,8 @@ class ZCompass:
 
     def __init__(self, settings: CompassSettings | None = None) -> None:
         self._settings = settings or CompassSettings()
-        self._view = ZTransformTracker()
+        regression = RegressionSettings(samples=self._settings.samples)
+        self._view = ZTransformTracker(settings=ZTransformSettings(rigid=RigidSettings(regression=regression)))
         self._view_heading_rad: float | None = None
         """Of the camera that took the held view; None: no view is held."""
 
@@ -55,6 +63,9 @@ class ZCompass:
             return None
         seen = self._view.update(frame)
         if seen.state is not TrackingState.TRACKING or seen.bearing_rad is None:
+            return None
+        if _off(seen) > math.log(self._settings.impossible_zoom):
+            self._view_heading_rad = None
             return None
         heading_rad = math.remainder(self._view_heading_rad + seen.bearing_rad, 2 * math.pi)
         if self._is_worn(seen, seen.bearing_rad):
@@ -74,5 +85,10 @@ class ZCompass:
         return (
             abs(bearing_rad) > settings.furthest_rad
             or seen.confidence < settings.least_confidence
-            or abs(math.log(seen.zoom or 1.0)) > math.log(settings.largest_zoom)
+            or _off(seen) > math.log(settings.largest_zoom)
         )
+
+
+def _off(seen: TrackerResult) -> float:
+    """By how much the view is nearer or farther, as a logarithm."""
+    return abs(math.log(seen.zoom or 1.0))

@@ -16,10 +16,12 @@ import numpy as np
 from base_station.trackers.base import Survey
 from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
 from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
+from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.matching import match_everywhere
+from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
 from base_station.trackers.slam.target import MapTarget, heading_of, place_in_map, result_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
@@ -49,7 +51,10 @@ class SlamTracker(PatchTracker):
     """
 
     def __init__(self, *, settings: SlamSettings | None = None, single_process: bool = False) -> None:
+        """Raises StationError when pycolmap or gtsam is missing. Compiles what needs it now: later a robot waits."""
         super().__init__()
+        libraries.gtsam()
+        rehearse_tracking()
         self._settings, self._single_process = settings, single_process
         self._slam: SlamSystem | None = None
         self._camera: SlamCamera | None = None
