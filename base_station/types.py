@@ -67,7 +67,11 @@ class Box:
     height: float
 
     def __post_init__(self) -> None:
-        if not all(np.isfinite((self.x, self.y, self.width, self.height))) or self.width <= 0 or self.height <= 0:
+        if (
+            not all(map(math.isfinite, (self.x, self.y, self.width, self.height)))
+            or self.width <= 0
+            or self.height <= 0
+        ):
             sides = f"{self.x},{self.y},{self.width},{self.height}"
             raise ValueError(f"not a box: {sides} (x,y,width,height, both sides > 0)")
 
@@ -140,6 +144,18 @@ class TrackerResult:
     -pi..pi. By a compass that keeps it without seeing the target: the one number that is there in any state."""
 
     def __post_init__(self) -> None:
+        if self.state is not TrackingState.TRACKING:
+            self._check_empty()
+        for name in (
+            "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m", "compass_rad"
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise ValueError(f"a result's {name} is {value}")
+        if self.zoom is not None and self.zoom <= 0:
+            raise ValueError(f"a result's zoom is {self.zoom}, it must be positive")
+
+    def _check_empty(self) -> None:
         measured = (
             self.shift_px,
             self.shift_y_px,
@@ -151,15 +167,7 @@ class TrackerResult:
             self.box,
             self.cam_from_world,
         )
-        if self.state is not TrackingState.TRACKING and any(value is not None for value in measured):
+        if any(value is not None for value in measured):
             raise ValueError(f"a result in state {self.state.value} carries a measurement")
-        if self.state is not TrackingState.TRACKING and not self.reason:
+        if not self.reason:
             raise ValueError(f"a result in state {self.state.value} must give its reason")
-        for name in (
-            "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m", "compass_rad"
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise ValueError(f"a result's {name} is {value}")
-        if self.zoom is not None and self.zoom <= 0:
-            raise ValueError(f"a result's zoom is {self.zoom}, it must be positive")

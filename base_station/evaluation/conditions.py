@@ -7,7 +7,7 @@ nature: geometry, something in front of the target, motion blur, light, noise; a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -176,3 +176,21 @@ def views_without_target(reference: np.ndarray, other: np.ndarray, *, is_place: 
     spectrum = np.fft.irfft2(np.abs(np.fft.rfft2(reference - mean)) * phases, reference.shape)
     views = {"other": other, "mirrored": reference[:, ::-1], "shuffled": shuffled, "spectrum": spectrum + mean}
     return {name: np.ascontiguousarray(_as_image(view)) for name, view in views.items()}
+
+
+def looks_without_target(
+    reference: np.ndarray, others: Sequence[np.ndarray], count: int, rng: np.random.Generator, *, is_place: bool = False
+) -> Iterator[tuple[str, np.ndarray]]:
+    """`count` times the four `views_without_target`, with one of the `others` after the other.
+
+    From the second time on they are displaced sideways (what leaves at one side enters at the other), in other light,
+    and with noise: as often as not in ways under which the target itself is tracked.
+    """
+    for number in range(count):
+        views = views_without_target(reference, others[number % len(others)], is_place=is_place)
+        for kind, view in views.items():
+            if number:
+                moved = np.roll(view, round(_sideways(rng)), 1)
+                light = rng.uniform(0.6, 1.4) * (moved.astype(np.float32) - 128) + 128 + rng.uniform(-20, 20)
+                view = _as_image(light + rng.uniform(0, 10) * rng.standard_normal(view.shape, dtype=np.float32))
+            yield kind, view

@@ -19,8 +19,8 @@ from base_station.evaluation.conditions import (
     TARGET,
     Disturbance,
     disturbed_view,
+    looks_without_target,
     reference_view,
-    views_without_target,
 )
 from base_station.evaluation.footprint import array_bytes, landmark_bytes
 from base_station.evaluation.worlds import World
@@ -170,11 +170,14 @@ def run_benchmark(
     condition's name), ValueError (a tracker's file)."""
     worlds = worlds[: max(settings.frames, 2)]
     tallies = {name: _Tally() for name in settings.trackers}
+    references = [reference_view(world, is_place=settings.is_place) for world in worlds]
+    looks = max(settings.frames // (2 * len(worlds)), 1)
     for index, world in enumerate(worlds):
         other = worlds[(index + 1) % len(worlds)]
-        reference = reference_view(world, is_place=settings.is_place)
+        reference = references[index]
         shown = list(_views(settings, index, world, other, len(worlds)))
-        strange = views_without_target(reference, reference_view(other), is_place=settings.is_place)
+        others, rng = references[index + 1 :] + references[:index], np.random.default_rng([settings.seed, index])
+        strange = list(looks_without_target(reference, others, looks, rng, is_place=settings.is_place))
         for name, tally in tallies.items():
             with Sitting(name, reference, is_place=settings.is_place) as sitting:
                 if sitting.kept_bytes is not None:
@@ -183,7 +186,7 @@ def run_benchmark(
                     result, us = sitting.surprise(image)
                     tally.rows.setdefault(condition, []).append(_row(result, disturbance, us))
                     on_step()
-                for kind, image in strange.items():
+                for kind, image in strange:
                     result, _ = sitting.surprise(image)
                     tracked = result.state is TrackingState.TRACKING
                     tally.false.setdefault(kind, []).append(result.confidence if tracked else float("nan"))

@@ -24,8 +24,8 @@ class NewPointSettings:
     """Between two keyframes, as a share of the median depth; below, depth is a guess."""
     least_parallax_rad: float = math.radians(1.0)
     """Under which a point must be seen, and..."""
-    least_sigmas: float = 8.0
-    """...so many times the angle that a keypoint may be off: a share of 1 / 8 of the depth is uncertain then. Points
+    least_sigmas: float = 10.0
+    """...so many times the angle that a keypoint may be off: a tenth of the depth is uncertain then. Points
     less sure are not wrong at random, they are too near: with them a turning camera loses its scale."""
 
 

@@ -55,6 +55,8 @@ def rehearse_tracking() -> None:
     extract = FeatureExtractor(camera, settings.features)
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px), np.uint8)
     features = extract(noise)
+    noise.flags.writeable = False  # as pictures from a robot are: to compiled code another kind of array
+    features = extract(noise)
     initializer = Initializer(camera, extract.scales, settings.initializer)
     for time_s in range(2):
         initializer(float(time_s), features, Grid.of(features.xy_px, camera.bounds_px))

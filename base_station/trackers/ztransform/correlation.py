@@ -44,17 +44,6 @@ class Peak:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def windowed(channels, window, out):
-    """out = channels times window, for every channel."""
-    count, rows, columns, _ = channels.shape
-    for c in range(count):
-        for y in range(rows):
-            for x in range(columns):
-                out[c, y, x, 0] = channels[c, y, x, 0] * window[y, x]
-                out[c, y, x, 1] = channels[c, y, x, 1] * window[y, x]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
 def cut_out(channels, down, right, mask, out):
     """out = mask times the channels moved so that the cell (down, right) from the middle comes to the middle."""
     count, rows, columns, _ = channels.shape
@@ -147,7 +136,7 @@ class CorrelationFilter:
 
     def __init__(self, window: np.ndarray, settings: FilterSettings) -> None:
         rows, columns = self._shape = window.shape
-        self._window, self._settings = window.astype(np.float32), settings
+        self._window, self._settings = np.repeat(window.astype(np.float32)[..., None], 2, -1), settings
         distance = [(np.arange(n) + n // 2) % n - n // 2 for n in (rows, columns)]
         label = np.exp(-(distance[0][:, None] ** 2 + distance[1][None] ** 2) / (2 * settings.label_cells**2))
         spectrum = np.fft.fft2(label)
@@ -176,9 +165,12 @@ class CorrelationFilter:
             columns=_between(answer[row, :, 0], column),
         )
 
-    def adapt(self, channels: np.ndarray, peak: Peak, mask: np.ndarray | None = None) -> None:
-        """Learn from the channels that `find` was last called with; `peak` says where the target is in them."""
-        self._take(np.float32(self._settings.rate), channels, mask, peak)
+    def adapt(self, channels: np.ndarray, peak: Peak, mask: np.ndarray | None = None, times: int = 1) -> None:
+        """Learn from the channels that `find` was last called with; `peak` says where the target is in them.
+
+        `times`: as much as from so many frames that all look like this one.
+        """
+        self._take(np.float32(1 - (1 - self._settings.rate) ** times), channels, mask, peak)
 
     def _take(self, rate: np.float32, channels: np.ndarray, mask: np.ndarray | None, peak: Peak) -> None:
         down, right = (0, 0) if mask is None else (round(peak.rows), round(peak.columns))
@@ -192,9 +184,7 @@ class CorrelationFilter:
         blend(rate, self._label, *rest, target, self._whole, self._numerator, self._energy)
 
     def _transformed(self, channels: np.ndarray) -> np.ndarray:
-        out = np.empty_like(channels)
-        windowed(channels, self._window, out)
-        return _transformed(out)
+        return _transformed(channels * self._window)
 
 
 def _transformed(channels: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ FREEDOMS = 5
 WIDEST_AZIMUTH_RAD = 1.2
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def sample_patch(image, scale, placement, lens, samples, patch, seen):
     """Fill `patch` (cells, cells) with means of samples x samples bilinear reads; `seen`: 1 inside of the frame.
 
@@ -93,7 +93,7 @@ def sample_patch(image, scale, placement, lens, samples, patch, seen):
     return total / (cells * cells)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def match_light(patch, seen, reference):
     """Gain and offset that give the reference the contrast and mean of the patch, over the cells that are seen."""
     n, sum_p, sum_r, sum_pp, sum_rr = 0, 0.0, 0.0, 0.0, 0.0
@@ -114,7 +114,7 @@ def match_light(patch, seen, reference):
     return gain, sum_p / n - gain * sum_r / n
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def fill_unseen(patch, seen, reference, gain, offset):
     """Put the reference where the frame ends: what is not seen then pulls neither way."""
     for y in range(patch.shape[0]):
@@ -123,57 +123,7 @@ def fill_unseen(patch, seen, reference, gain, offset):
                 patch[y, x] = gain * reference[y, x] + offset
 
 
-@njit(cache=True, fastmath=True)
-def read_signature(patch, bands, pole_re, pole_im, weights, anchors, taper, signature):
-    """Signature of a patch (cells, cells) into `signature` (2 bands, poles, 2 sides, anchors, 2) flat, of length 1.
-
-    Row bands, then column bands; of each the mean profile, its central difference times the taper, and of that the
-    second-order transform sum_u u p^u d[m +- u] about every anchor m, looking right and left. Returns the length that
-    it had before normalising.
-    """
-    cells = patch.shape[0]
-    poles, anchor_count = len(pole_re), len(anchors)
-    depth = cells // bands
-    profiles = np.zeros((2 * bands, cells), np.float32)
-    for y in range(cells):
-        band = min(y // depth, bands - 1)
-        for x in range(cells):
-            profiles[band, x] += patch[y, x]
-            profiles[bands + min(x // depth, bands - 1), y] += patch[y, x]
-    d = np.zeros(cells, np.float32)
-    half = np.float32(0.5 / depth)
-    square = 0.0
-    for b in range(2 * bands):
-        for n in range(1, cells - 1):
-            d[n] = (profiles[b, n + 1] - profiles[b, n - 1]) * half * taper[n]
-        for k in range(poles):
-            p_re, p_im, weight = pole_re[k], pole_im[k], weights[k]
-            for side in range(2):
-                # first[n] = d[n] + p first[n+1];  second[n] = p (second[n+1] + first[n+1]): the recursion of eq. (3.4)
-                first_re = first_im = second_re = second_im = np.float32(0.0)
-                a = anchor_count - 1 if side == 0 else 0
-                for i in range(cells):
-                    n = cells - 1 - i if side == 0 else i
-                    t_re, t_im = second_re + first_re, second_im + first_im
-                    second_re = p_re * t_re - p_im * t_im
-                    second_im = p_re * t_im + p_im * t_re
-                    t_re = p_re * first_re - p_im * first_im + d[n]
-                    first_im = p_re * first_im + p_im * first_re
-                    first_re = t_re
-                    if 0 <= a < anchor_count and anchors[a] == n:
-                        j = (((b * poles + k) * 2 + side) * anchor_count + a) * 2
-                        signature[j] = second_re * weight
-                        signature[j + 1] = second_im * weight
-                        square += signature[j] * signature[j] + signature[j + 1] * signature[j + 1]
-                        a += -1 if side == 0 else 1
-    length = math.sqrt(square)
-    scale = np.float32(1.0 / max(length, 1e-6))
-    for j in range(len(signature)):
-        signature[j] *= scale
-    return length
-
-
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def inner(one, other):
     """Inner product; written out, because numba's own needs SciPy. With fastmath it is as fast as BLAS at this size."""
     total = np.float32(0.0)
@@ -182,8 +132,60 @@ def inner(one, other):
     return total
 
 
-@njit(cache=True, fastmath=True)
-def seen_correlation(patch, seen, reference, bands, pole_re, pole_im, weights, anchors, taper):
+@njit(cache=True, fastmath=True, error_model="numpy")
+def band_means(patch, bands, profiles):
+    """Row bands, then column bands of a patch (cells, cells) into `profiles` (2 bands, cells): the mean of each."""
+    cells = patch.shape[0]
+    depth = cells // bands
+    for b in range(bands):
+        first, beyond = b * depth, (b + 1) * depth if b < bands - 1 else cells
+        share = np.float32(1.0 / (beyond - first))
+        for x in range(cells):
+            profiles[b, x] = np.float32(0.0)
+        for y in range(first, beyond):
+            for x in range(cells):
+                profiles[b, x] += patch[y, x] * share
+        for y in range(cells):
+            total = np.float32(0.0)
+            for x in range(first, beyond):
+                total += patch[y, x]
+            profiles[bands + b, y] = total * share
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def read_bands(profiles, windows, signature):
+    """Signature of band profiles (bands, cells) into `signature` (bands, numbers) flat, of length 1.
+
+    A signature is linear in the profiles but for its length, so the poles are read through their windows, `windows`
+    (cells, numbers), as `SignatureReader` sums them up. Returns the length that it had before normalising.
+    """
+    bands, cells = profiles.shape
+    numbers = windows.shape[1]
+    for b in range(bands):
+        out = signature[b * numbers : (b + 1) * numbers]
+        for j in range(numbers):
+            out[j] = np.float32(0.0)
+        for n in range(cells):
+            value = profiles[b, n]
+            for j in range(numbers):
+                out[j] += value * windows[n, j]
+    length = math.sqrt(inner(signature, signature))
+    scale = np.float32(1.0 / max(length, 1e-6))
+    for j in range(len(signature)):
+        signature[j] *= scale
+    return length
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def read_signature(patch, bands, windows, signature):
+    """Signature of a patch, see `read_bands`; returns its length before normalising."""
+    profiles = np.empty((2 * bands, patch.shape[0]), np.float32)
+    band_means(patch, bands, profiles)
+    return read_bands(profiles, windows, signature)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def seen_correlation(patch, seen, reference, bands, windows):
     """Normalised correlation of two signatures in which only the cells seen count (the others at the mean)."""
     cells = patch.shape[0]
     mean_p, mean_r, n = 0.0, 0.0, 0
@@ -201,14 +203,14 @@ def seen_correlation(patch, seen, reference, bands, pole_re, pole_im, weights, a
             if seen[y, x] == 1:
                 flat_p[y, x] = patch[y, x] - mean_p / n
                 flat_r[y, x] = reference[y, x] - mean_r / n
-    size = 2 * bands * len(pole_re) * 2 * len(anchors) * 2
+    size = 2 * bands * windows.shape[1]
     one, other = np.empty(size, np.float32), np.empty(size, np.float32)
-    read_signature(flat_p, bands, pole_re, pole_im, weights, anchors, taper, one)
-    read_signature(flat_r, bands, pole_re, pole_im, weights, anchors, taper, other)
+    read_signature(flat_p, bands, windows, one)
+    read_signature(flat_r, bands, windows, other)
     return inner(one, other)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def move(placement, step, largest):
     """Apply a step (dx / width, dy / height, d log width, d log height, dq), each at most `largest`, in place."""
     dx = min(max(step[X], -largest), largest)

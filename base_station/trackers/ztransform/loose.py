@@ -143,7 +143,7 @@ class LooseFollower:
     def start(self, pyramid: Pyramid, placement: np.ndarray) -> None:
         """Remember what is at this placement (see `kernels`; the keystone does not count)."""
         self._learned, self._size_next = placement.copy(), True
-        self._mask = self._target_mask(placement)
+        self._mask, self._inner_box, self._outer_box = self._target_mask(placement), self._box(0.8), self._box(1.2)
         self._sample(pyramid, placement)
         self._count(1.0, 0, 0)
         read = self._read()
@@ -172,27 +172,28 @@ class LooseFollower:
         off = math.hypot(peak.rows, peak.columns) * s.window / s.cells
         return peak.sharpness >= s.agreed_sharpness and off <= s.agreed_offset
 
-    def adapt(self, pyramid: Pyramid) -> np.ndarray:
+    def adapt(self, pyramid: Pyramid, times: int = 1) -> np.ndarray:
         """Believe the last look: learn from it, and give the placement with the size.
 
-        In turns, to halve the cost: what it looks like in one frame, how large it is in the next.
+        In turns, to halve the cost: what it looks like in one frame, how large it is in the next. `times`: learn as
+        much as from so many frames like this one.
         """
         peak = self._peak
         if self._size_next:
-            self._measure_size(pyramid, self._found)
+            self._measure_size(pyramid, self._found, times)
         else:
             down, right = round(peak.rows), round(peak.columns)
-            self._position.adapt(self._read_last, peak, self._weighed(self._read_last, down, right))
-            self._count(self._settings.histogram_rate, down, right)
+            self._position.adapt(self._read_last, peak, self._weighed(self._read_last, down, right), times)
+            self._count(1 - (1 - self._settings.histogram_rate) ** times, down, right)
         self._size_next = not self._size_next
         return self._found
 
-    def _measure_size(self, pyramid: Pyramid, placement: np.ndarray) -> None:
+    def _measure_size(self, pyramid: Pyramid, placement: np.ndarray, times: int) -> None:
         """Change the placement's size to that of the target, and learn how it looks at this size."""
         s, polar = self._settings, self._read_polar(pyramid, placement)
         growth = self._zoom.find(polar)
         # Turning moves the columns; the size alone is wanted, and learned as if the target had not turned.
-        self._zoom.adapt(polar, dataclasses.replace(growth, columns=0.0))
+        self._zoom.adapt(polar, dataclasses.replace(growth, columns=0.0), times=times)
         if growth.height > s.zoom_least:
             step = s.zoom_damping * growth.rows * self._log_ring
             wanted = math.log(placement[WIDTH] / self._learned[WIDTH]) + min(max(step, -s.zoom_step), s.zoom_step)
@@ -200,14 +201,15 @@ class LooseFollower:
             placement[[WIDTH, HEIGHT]] = zoom * self._learned[[WIDTH, HEIGHT]]
 
     def _side(self, placement: np.ndarray) -> float:
-        return self._settings.window * math.sqrt(placement[WIDTH] * placement[HEIGHT])
+        _, _, width, height, _ = placement.tolist()
+        return self._settings.window * math.sqrt(width * height)
 
     def _sample(self, pyramid: Pyramid, placement: np.ndarray) -> None:
         """The window about a placement, a bilinear read per cell; the frame's border repeats."""
         cell = self._side(placement) / self._settings.cells
         image, scale, _ = pyramid.for_cell(cell)
         middle = (self._settings.cells - 1) / 2
-        x, y = ((placement[axis] - (scale - 1) / 2 - middle * cell) / scale for axis in (X, Y))
+        x, y = ((centre - (scale - 1) / 2 - middle * cell) / scale for centre in placement[:2].tolist())
         window = np.array([[cell / scale, 0.0, x], [0.0, cell / scale, y]])
         cv2.warpAffine(
             image, window, self._patch.shape[::-1], self._patch, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -234,15 +236,17 @@ class LooseFollower:
 
     def _count(self, rate: float, down: int, right: int) -> None:
         """Take the histograms of target and background in the patch sampled last; the target is (down, right) off."""
-        inner, outer = self._box(0.8, down, right), self._box(1.2, down, right)
-        learn_light(self._patch, inner, outer, np.float32(rate), self._inside, self._outside, self._likelihood)
+        off = np.array((down, down, right, right))
+        learn_light(
+            self._patch, self._inner_box + off, self._outer_box + off, np.float32(rate), self._inside, self._outside,
+            self._likelihood,
+        )  # fmt: skip
 
-    def _box(self, part: float, down: int, right: int) -> np.ndarray:
-        """First row, past-last row, first column, past-last column of this part of the target in the window."""
+    def _box(self, part: float) -> np.ndarray:
+        """First row, past-last row, first column, past-last column of this part of the target, mid-window."""
         half, cell = self._settings.cells / 2, self._side(self._learned) / self._settings.cells
         reach_y, reach_x = (part / 2 * self._learned[side] / cell for side in (HEIGHT, WIDTH))
-        rows, columns = (round(half - reach_y), round(half + reach_y)), (round(half - reach_x), round(half + reach_x))
-        return np.array([rows[0] + down, rows[1] + down, columns[0] + right, columns[1] + right])
+        return np.array([round(half - reach_y), round(half + reach_y), round(half - reach_x), round(half + reach_x)])
 
     def _target_mask(self, placement: np.ndarray) -> np.ndarray:
         s, side = self._settings, self._side(placement)

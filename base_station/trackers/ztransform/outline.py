@@ -27,19 +27,20 @@ def place_placement(camera: PinholeCamera) -> np.ndarray:
 
 def to_pixel(x: float, y: float, lens: np.ndarray) -> tuple[float, float]:
     """The pixel at which a point of the placement's plane, or cylinder, is seen."""
-    if lens[0] <= 0:
-        return float(x), float(y)
-    azimuth = min(max((x - lens[2]) / lens[1], -1.4), 1.4)
-    return float(lens[2] + lens[1] * math.tan(azimuth)), float(lens[3] + (y - lens[3]) / math.cos(azimuth))
+    curved, focal, middle_x, middle_y = lens.tolist()
+    if curved <= 0:
+        return x, y
+    azimuth = min(max((x - middle_x) / focal, -1.4), 1.4)
+    return middle_x + focal * math.tan(azimuth), middle_y + (y - middle_y) / math.cos(azimuth)
 
 
 def outline(placement: np.ndarray, lens: np.ndarray) -> Box:
     """The upright box about the placement, in pixels. May stick out of the frame."""
+    x, y, width, height, _ = placement.tolist()
     if lens[0] <= 0:
-        return Box.around(*(float(placement[i]) for i in (X, Y, WIDTH, HEIGHT)))
-    x, y = placement[X], placement[Y]
-    left, right = (to_pixel(x + side * placement[WIDTH] / 2, y, lens)[0] for side in (-1, 1))
-    top, bottom = (to_pixel(x, y + side * placement[HEIGHT] / 2, lens)[1] for side in (-1, 1))
+        return Box.around(x, y, width, height)
+    left, right = (to_pixel(x + side * width / 2, y, lens)[0] for side in (-1, 1))
+    top, bottom = (to_pixel(x, y + side * height / 2, lens)[1] for side in (-1, 1))
     return Box.around((left + right) / 2, (top + bottom) / 2, right - left, bottom - top)
 
 

@@ -111,6 +111,60 @@ def sample_patch(
     return patch, seen
 
 
+def sample_boxes(
+    image: np.ndarray, scale: int, placement: np.ndarray, lens: np.ndarray, cells: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `sample_patch`, but every cell is the mean of the box of pixels that it covers, as tall as in its middle."""
+    edges, (x, middle, shrink) = np.arange(cells + 1) / cells - 0.5, _columns(cells, scale, placement, lens)
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * edges[:, None]) * shrink + 0.5) / scale
+    patch = np.stack([_box_means(image, x[i : i + 2], y[:, i])[:, 0] for i in range(cells)], 1)
+    rows = (y[1:] + y[:-1]) / 2
+    return patch, (middle >= 0) & (middle <= image.shape[1]) & (rows >= 0) & (rows <= image.shape[0])
+
+
+def box_profiles(
+    image: np.ndarray, scale: int, placement: np.ndarray, lens: np.ndarray, cells: int, bands: int, strips: int
+) -> np.ndarray:
+    """Row bands and column bands, (2 * bands, cells), of a placement inside of the frame: the means of their boxes.
+
+    `strips`: boxes side by side in each cell of a column band.
+    """
+    rows = np.append(np.arange(bands) * (cells // bands) / cells, 1) - 0.5
+    x, _, shrink = _columns(cells, scale, placement, lens)
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * rows[:, None]) * shrink + 0.5) / scale
+    across = np.concatenate([_box_means(image, x[i : i + 2], y[:, i]) for i in range(cells)], 1)
+    x, _, shrink = _columns(bands * strips, scale, placement, lens)
+    edges = np.arange(cells + 1) / cells - 0.5
+    y = (lens[3] + (placement[1] - lens[3] + placement[3] * edges[:, None]) * shrink + 0.5) / scale
+    down = np.concatenate([_box_means(image, x[i : i + 2], y[:, i]) for i in range(bands * strips)], 1)
+    return np.concatenate([across, down.reshape(cells, bands, strips).mean(2).T])
+
+
+def _columns(count: int, scale: int, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, ...]:
+    """So many columns of a placement: their edges, their middles, and the shrinking of heights in their middles."""
+    out = []
+    for u in (np.arange(count + 1) / count - 0.5, (np.arange(count) + 0.5) / count - 0.5):
+        shrink = 1 / (1 + placement[4] * u)
+        x = placement[0] + placement[2] * u * shrink
+        if lens[0] > 0:
+            azimuth = (x - lens[2]) / lens[1]
+            x, shrink = lens[2] + lens[1] * np.tan(azimuth), shrink / np.cos(azimuth)
+        out.append((x + 0.5) / scale)
+    return out[0], out[1], shrink
+
+
+def _box_means(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Means between edges that may lie within pixels; pixel n lies between n and n + 1. Less than 0.02 px is none."""
+    weights = []
+    for edges, size in ((y, image.shape[0]), (x, image.shape[1])):
+        first = np.clip(edges[:-1], 0, size - 0.04)[:, None]
+        last = np.clip(edges[1:, None], first + 0.02, size - 0.02)
+        pixels = np.arange(size)
+        covered = np.clip(np.minimum(pixels + 1, last) - np.maximum(pixels, first), 0, 1)
+        weights.append(covered / covered.sum(1, keepdims=True))
+    return weights[0] @ image.astype(float) @ weights[1].T
+
+
 def read_signature(
     patch: np.ndarray, bands: int, poles: np.ndarray, weights: np.ndarray, anchors: np.ndarray, taper: np.ndarray
 ) -> np.ndarray:
@@ -118,7 +172,7 @@ def read_signature(
     cells = len(patch)
     depth = cells // bands
     cuts = [slice(b * depth, (b + 1) * depth if b < bands - 1 else cells) for b in range(bands)]
-    profiles = np.stack([patch[c].sum(0) / depth for c in cuts] + [patch[:, c].sum(1) / depth for c in cuts])
+    profiles = np.stack([patch[c].mean(0) for c in cuts] + [patch[:, c].mean(1) for c in cuts])
     d = np.zeros_like(profiles)
     d[:, 1:-1] = (profiles[:, 2:] - profiles[:, :-2]) / 2
     d *= taper
@@ -183,3 +237,85 @@ def _smoothed(rows: np.ndarray, pole: float) -> np.ndarray:
     for n in range(1, len(rows)):
         out[n] = (1 - pole) * rows[n] + pole * out[n - 1]
     return out
+
+
+def blocks_of(patch: np.ndarray, blocks: int) -> np.ndarray:
+    """A patch (cells, cells) as (blocks * blocks, cells of a block), row by row."""
+    side = len(patch) // blocks
+    return patch.reshape(blocks, side, blocks, side).swapaxes(1, 2).reshape(blocks * blocks, side * side)
+
+
+def robust_step(
+    cut: np.ndarray, shown: np.ndarray, learned: np.ndarray, changes: np.ndarray, prior: np.ndarray
+) -> np.ndarray:
+    """The step (5,) that takes a patch, cut into blocks, back to the learned one.
+
+    `learned` (blocks, n): deviations from each block's mean; `changes` (blocks, 5, n): what each part of a step adds to
+    them that no gain of light could; `shown` (blocks,) bool: wholly in the frame; `prior` (5,): 1 / variance of a step.
+    """
+    deviations = cut - cut.mean(1, keepdims=True)
+    energies = (learned**2).sum(1)
+    products = (deviations * learned).sum(1)
+    gains = products / (energies + 1e-3)
+    misfits = np.maximum((deviations**2).sum(1) - gains * products, 0) / (cut.shape[1] - 2)
+    usual = np.median(misfits[shown]) + 0.02
+    firm = shown & (energies > np.median(energies))
+    whole_gain = max(np.median(gains[firm]), 0.05) if firm.any() else 0.05
+    trust = 0.2 * np.median(energies) + 1e-3
+    gains = np.clip((products + trust * whole_gain) / (energies + trust), 0, 3 * whole_gain)
+    weights = shown * usual / (misfits + usual)
+    rows = (changes * gains[:, None, None]).swapaxes(1, 2)  # as light shows it
+    hessian = np.einsum("b,bni,bnj->ij", weights, rows, rows) + np.diag(prior * usual)
+    return -np.linalg.solve(hessian, np.einsum("b,bni,bn->i", weights, rows, deviations))
+
+
+def slope_directions(patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along the rows and down (2, cells, cells), over their size and a floor; 0 at the border.
+
+    And (cells, cells) what each was multiplied by.
+    """
+    inner, scales = np.zeros((2, *patch.shape)), np.zeros(patch.shape)
+    inner[0, 1:-1, 1:-1] = (patch[1:-1, 2:] - patch[1:-1, :-2]) / 2
+    inner[1, 1:-1, 1:-1] = (patch[2:, 1:-1] - patch[:-2, 1:-1]) / 2
+    size = np.sqrt((inner**2).sum(0))[1:-1, 1:-1]
+    scales[1:-1, 1:-1] = 1 / (size + 0.5 * size.mean() + 0.1)
+    return inner * scales, scales
+
+
+def best_part(likeness: np.ndarray, weights: np.ndarray, part: float) -> float:
+    """Weighted mean over the most alike, which have this part of the whole weight; one of them may count in part."""
+    order = np.argsort(-likeness)
+    wanted = part * weights.sum()
+    taken = np.diff(np.minimum(np.cumsum(weights[order]), wanted), prepend=0)
+    return float((taken * likeness[order]).sum() / wanted)
+
+
+def resemblance(patch: np.ndarray, learned: np.ndarray, blocks: int, part: float, noise: float) -> float:
+    """How much a patch is like the learned one, 0..1; see `alignment_kernels`. All of it lies in the frame."""
+    one, other = (cut - cut.mean(1, keepdims=True) for cut in (blocks_of(p, blocks) for p in (patch, learned)))
+    faint = 0.5 * one.shape[1]
+    energies = (other**2).sum(1)
+    square = (one**2).sum(1)
+    square = np.maximum(square - noise**2 * one.shape[1], 0.6 * square)
+    light = np.minimum((one * other).sum(1) / np.sqrt((square + faint) * (energies + faint)), 1)
+    (slopes, scales), (then, _) = slope_directions(patch), slope_directions(learned)
+    now, then = (np.stack([blocks_of(d, blocks) for d in directions]) for directions in (slopes, then))
+    then_energies, energy = (then**2).sum((0, 2)), (now**2).sum((0, 2))
+    energy = np.maximum(energy - noise**2 * (blocks_of(scales, blocks) ** 2).sum(1), 0.6 * energy)
+    fine = np.minimum((now * then).sum((0, 2)) / np.sqrt(energy * then_energies + 1e-6), 1)
+    whole = best_part(fine, np.sqrt(then_energies), 1.0)
+    parts = best_part(light, np.sqrt(energies), part), best_part(fine, np.sqrt(then_energies), part)
+    return max(parts[0], 0) * max(parts[1], 0) * (0.5 + 0.5 * max(whole, 0))
+
+
+def count_votes(window: np.ndarray, learned: np.ndarray, side: int, faint: float) -> np.ndarray:
+    """Votes of the learned picture's square pieces for every shift of it in the window; see `pieces`."""
+    shifts, n = len(window) - len(learned) + 1, len(learned) // side
+    votes = np.zeros((shifts, shifts))
+    for top, left, down, right in np.ndindex(n, n, shifts, shifts):
+        piece = learned[top * side : (top + 1) * side, left * side : (left + 1) * side]
+        seen = window[top * side + down : (top + 1) * side + down, left * side + right : (left + 1) * side + right]
+        product = ((piece - piece.mean()) * (seen - seen.mean())).mean()
+        weight = piece.var() / (piece.var() + 4 * faint)
+        votes[down, right] += weight * max(product, 0) ** 2 / (piece.var() * (seen.var() + faint) + 1e-6)
+    return votes

@@ -3,6 +3,10 @@
 The patch under the placement is reduced to row bands and column bands; of each the light's offset is removed by the
 central difference, the hard ends by a taper, and the rest is read by two-sided second-order poles about several
 anchors. Normalising removes the gain of the light.
+
+All but the last is linear in the bands' profiles, and the same for every band: a matrix of windows. They overlap, so
+fewer numbers hold the same: with the root of their Gram matrix in their place, every length and every inner product of
+signatures stays what it was, and so does all that is learned from them.
 """
 
 from __future__ import annotations
@@ -11,16 +15,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.kernels import (
-    HEIGHT,
-    WIDTH,
-    fill_unseen,
-    match_light,
-    read_signature,
-    sample_patch,
-)
+from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
+from base_station.trackers.ztransform.kernels import read_signature
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
+from base_station.trackers.ztransform.refinement import read_filled
+
+MARGIN = 0.1
+"""Of a target's width and height: how far a refinement usually goes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,40 +41,61 @@ class SignatureSettings:
     """The share of a band at each end over which the difference fades in."""
     poles: PoleSettings = field(default_factory=PoleSettings)
     """The scales."""
+    is_compact: bool = True
+    """Read through the root of the windows' Gram matrix: as many numbers as cells, for each band."""
 
 
 class SignatureReader:
     """Settings turned into the arrays that the kernels take, in the order in which they take them."""
 
     def __init__(self, settings: SignatureSettings) -> None:
-        cells = settings.cells
-        poles = spiral_poles(settings.poles)
-        reach = settings.spread / 2
-        anchors = np.round(np.linspace(cells * (0.5 - reach), cells * (0.5 + reach), settings.anchors)).astype(np.int64)
-        u = (np.arange(cells) + 0.5) / cells
-        taper = np.minimum(1, np.minimum(u, 1 - u) / settings.taper).astype(np.float32)
-        self.cells = cells
-        self.size = 2 * settings.bands * settings.poles.count * 2 * settings.anchors * 2
-        self.plan = (
-            settings.bands,
-            poles.real.astype(np.float32),
-            poles.imag.astype(np.float32),
-            scale_weights(settings.poles).astype(np.float32),
-            np.minimum(anchors, cells - 1),
-            taper,
-        )
-        """bands, pole_re, pole_im, weights, anchors, taper."""
+        windows = _windows(settings)
+        if settings.is_compact:
+            windows = _compact(windows)
+        self.cells = settings.cells
+        self.size = 2 * settings.bands * len(windows)
+        self.plan = settings.bands, np.ascontiguousarray(windows.T, np.float32)
+        """bands, windows: float32 (cells, numbers)."""
 
-    def source(self, pyramid: Pyramid, placement: np.ndarray) -> tuple[np.ndarray, int, int]:
-        """Which image to read for this placement, its scale, reads per cell and axis."""
-        return pyramid.for_cell(max(placement[WIDTH], placement[HEIGHT]) / self.cells)
+    def source(
+        self,
+        pyramid: Pyramid,
+        placement: np.ndarray,
+        lens: np.ndarray,
+        *,
+        cells: int | None = None,
+        whole: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Running sums to read this placement from, and where they are, see `boxes`; of the whole frame, or at least of
+        the placement and a margin."""
+        x, y, width, height, keystone = placement.tolist()
+        cell_px = max(width, height) / (cells or self.cells)
+        if whole or lens[0] > 0:
+            return pyramid.sums(cell_px)
+        horizon = float(lens[3])
+        grow = 1 / (1 - min(0.5 * abs(keystone), 0.5))
+        reach_x, reach_y = (0.5 * grow + MARGIN) * width, (0.5 + MARGIN) * height
+        top = horizon + (y - reach_y - horizon) * (grow if y - reach_y < horizon else 1.0)
+        bottom = horizon + (y + reach_y - horizon) * (grow if y + reach_y > horizon else 1.0)
+        return pyramid.sums(cell_px, (x - reach_x, top, x + reach_x, bottom))
 
     def patch(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Patch float32 (cells, cells), which cells the frame shows (uint8), and their share 0..1."""
         patch, seen = np.empty((self.cells,) * 2, np.float32), np.empty((self.cells,) * 2, np.uint8)
-        image, scale, reads = self.source(pyramid, placement)
-        share = sample_patch(image, scale, placement, lens, reads, patch, seen)
+        share = sample_boxes(*self.source(pyramid, placement, lens, whole=True), lens, placement, patch, seen)
         return patch, seen, share
+
+    def means(
+        self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, cells: int
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """As `patch`, of any number of cells a side; of the frame no more is summed up than need be."""
+        patch, seen = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8)
+        source = self.source(pyramid, placement, lens, cells=cells)
+        if lies(*source, lens, placement) == IN_FRAME:
+            sample_inside(*source, lens, placement, patch)
+            return patch, seen, 1.0
+        source = self.source(pyramid, placement, lens, cells=cells, whole=True)
+        return patch, seen, sample_boxes(*source, lens, placement, patch, seen)
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
         """Signature float32 (size,) of length 1, and its length before normalising: the contrast that was there."""
@@ -82,8 +105,30 @@ class SignatureReader:
 
     def read(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, learned: np.ndarray) -> np.ndarray:
         """Signature at a placement; cells outside of the frame are taken from the learned patch."""
-        patch, seen, share = self.patch(pyramid, placement, lens)
-        if share < 1:
-            gain, offset = match_light(patch, seen, learned)
-            fill_unseen(patch, seen, learned, gain, offset)
-        return self.signature(patch)[0]
+        out, source = np.empty(self.size, np.float32), self.source(pyramid, placement, lens, whole=True)
+        read_filled(*source, lens, placement, learned, *self.plan, out)
+        return out
+
+
+def _windows(settings: SignatureSettings) -> np.ndarray:
+    """What a profile is read with: difference, taper and poles in one; (poles, 2 sides, anchors, 2) flat, by cells."""
+    cells, reach = settings.cells, settings.spread / 2
+    difference = np.zeros((cells, cells))
+    middle = np.arange(1, cells - 1)
+    u = (middle + 0.5) / cells
+    fade = 0.5 * np.minimum(1, np.minimum(u, 1 - u) / settings.taper)
+    difference[middle, middle + 1], difference[middle, middle - 1] = fade, -fade
+    anchors = np.round(np.linspace(cells * (0.5 - reach), cells * (0.5 + reach), settings.anchors)).astype(int)
+    away = np.arange(cells) - np.minimum(anchors, cells - 1)[:, None]
+    read = []
+    for pole, weight in zip(spiral_poles(settings.poles), scale_weights(settings.poles), strict=True):
+        for side in (away, -away):
+            window = np.where(side > 0, side * pole ** np.maximum(side, 0), 0) * weight @ difference
+            read.append(np.stack([window.real, window.imag], 1).reshape(-1, cells))
+    return np.concatenate(read)
+
+
+def _compact(windows: np.ndarray) -> np.ndarray:
+    """The symmetric root of windows^T windows, (cells, cells)."""
+    values, vectors = np.linalg.eigh(windows.T @ windows)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T)

@@ -32,7 +32,7 @@ class ZTransformSettings:
 
     keep_confidence: float = 0.35
     """While tracking, a resemblance below this is not the target, however slowly it came to look so."""
-    regain_confidence: float = 0.72
+    regain_confidence: float = 0.65
     """After it was lost, a resemblance below this is not the target yet."""
     keep_of_usual: float = 0.6
     """While tracking, a resemblance below this share of the usual is not the target: what vanishes does so suddenly."""
@@ -52,19 +52,25 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.85
+    firm: float = 0.75
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
+    uncovered: float = 0.85
+    """Of the target that must look as it was learned, or the loose follower does not learn from it."""
     firm_aspects: tuple[float, float] = (0.8, 1.15)
     """Width against height, both against the learned ones, of a target that is seen firm before it is proven. Turning
     makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
+    needs_no_second: float = 0.8
+    """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
     hold_sharpness: float = 4.5
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
     """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
-    loose_every: int = 4
-    """While a proven target is seen firm, the loose follower learns from every so many frames only."""
+    loose_every: int = 30
+    """While a proven target is seen firm, the loose follower learns from every so many frames only..."""
+    loose_times: int = 7
+    """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
     hold_share: float = 0.8
@@ -175,13 +181,15 @@ class ZTransformTracker:
     def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray, *, is_whole: bool = True) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
         assert self._learned is not None
-        settings, followed = self._settings, None
+        settings, followed, is_firm = self._settings, None, False
         self._frames += 1
         near = self._is_tracking or self._motion.age_s(time_s) < settings.linger_s
         if near and not (self._is_loose and self._frames % settings.rigid_every):
             followed = self._follow(pyramid, time_s, lens)
-            is_agreed = not self._is_loose or (is_whole and self._is_agreed(pyramid, followed))
-            if self._is_firm(followed) and is_agreed:
+            is_firm = self._is_firm(followed)
+            if is_firm and self._is_loose:
+                is_firm = is_whole and self._is_agreed(pyramid, followed)
+            if is_firm and followed.confidence >= self._usual_confidence - 2 * settings.surprise:
                 self._seen_firm(pyramid, followed, time_s, is_whole=is_whole)
                 return followed, True
         if not is_whole:  # a search needs all of the frame, and once the target is lost that is what comes
@@ -193,11 +201,15 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
-        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost)
+        just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
+        found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
         if found.confidence >= least and self._is_agreed(pyramid, found):
             self._seen_firm(pyramid, found, time_s)
             return found, True
+        if followed and is_firm:
+            self._seen_firm(pyramid, followed, time_s)
+            return followed, True
         if not (self._learned.is_place or self._is_loose) and (near or not self._is_proven):
             loose = self._follow_loose(pyramid, time_s)
             if loose is not None:
@@ -229,8 +241,7 @@ class ZTransformTracker:
         settings, learned = self._settings, self._learned
         assert learned is not None
         if learned.is_place:
-            usual = self._usual_confidence - 2 * settings.surprise
-            return look.confidence >= usual and self._is_kept(look)
+            return self._is_kept(look)
         aspect = look.placement[WIDTH] / look.placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
         low, high = settings.firm_aspects
         return look.confidence >= settings.firm and (self._is_proven or low <= aspect <= high)
@@ -240,7 +251,7 @@ class ZTransformTracker:
         assert self._learned is not None
         if self._learned.is_place:
             return True
-        return self._loose.resembles(pyramid, look.placement)
+        return look.confidence >= self._settings.needs_no_second or self._loose.resembles(pyramid, look.placement)
 
     def _follow(self, pyramid: Pyramid, time_s: float, lens: np.ndarray) -> Look:
         """The signature, from where the target should be now."""
@@ -250,14 +261,16 @@ class ZTransformTracker:
     def _seen_firm(self, pyramid: Pyramid, look: Look, time_s: float, *, is_whole: bool = True) -> None:
         """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
+        settings = self._settings
         self._is_loose, self._firm_s = False, time_s
-        if look.confidence < self._settings.firm or self._learned.is_place:
+        if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
-        if not is_whole or look.share < 1 or (self._is_proven and self._frames % self._settings.loose_every):
+        covered = not is_whole or look.share < 1 or look.alike < settings.uncovered
+        if covered or (self._is_proven and self._frames % settings.loose_every):
             return
-        if self._loose.look(pyramid, look.placement).sharpness >= self._settings.loose.least_sharpness:
-            self._loose.adapt(pyramid)
+        if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
+            self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
 
     def _follow_loose(self, pyramid: Pyramid, time_s: float) -> Look | None:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
@@ -281,11 +294,11 @@ class ZTransformTracker:
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
-        p, settings = look.placement, self._settings
+        (_, _, width, height, _), settings = look.placement.tolist(), self._settings
         return bool(
             look.share >= settings.least_share
-            and min(p[WIDTH], p[HEIGHT]) >= settings.smallest_side_px
-            and p[WIDTH] <= settings.largest_share * shape[1]
+            and min(width, height) >= settings.smallest_side_px
+            and width <= settings.largest_share * shape[1]
         )
 
     def _tracked(self, frame: Frame, look: Look, lens: np.ndarray) -> TrackerResult:
@@ -299,8 +312,8 @@ class ZTransformTracker:
             self._motion.start(p, frame.time_s)
             self._usual_confidence = look.confidence
         self._is_tracking, self._frames_lost = True, 0
-        x, y = to_pixel(p[X], p[Y], lens)
-        x0, y0 = to_pixel(learned.placement[X], learned.placement[Y], lens)
+        x, y = to_pixel(float(p[X]), float(p[Y]), lens)
+        x0, y0 = to_pixel(float(learned.placement[X]), float(learned.placement[Y]), lens)
         return TrackerResult(
             state=TrackingState.TRACKING,
             shift_px=x - x0,

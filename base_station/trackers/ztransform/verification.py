@@ -18,7 +18,12 @@ from base_station.trackers.ztransform.regression import Disturbance, RegressionS
 from base_station.trackers.ztransform.signature import SignatureReader, SignatureSettings
 
 SMALL = SignatureSettings(
-    cells=24, bands=2, anchors=3, spread=0.6, poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2)
+    cells=24,
+    bands=2,
+    anchors=3,
+    spread=0.6,
+    poles=PoleSettings(count=4, longest_cells=6.0, shortest_cells=1.2),
+    is_compact=False,  # landmark files hold maps of these numbers
 )
 SMALL_SIZE = SignatureReader(SMALL).size
 SMALL_REGRESSION = RegressionSettings(
@@ -64,10 +69,6 @@ class Verifier:
         self._settings = settings
         self._small, self._full = SignatureReader(SMALL), SignatureReader(SignatureSettings())
         self._turns = np.zeros(settings.steps, np.int64)
-        cells = SMALL.cells
-        self._scratch = (
-            np.empty((cells, cells), np.float32), np.empty((cells, cells), np.uint8), np.empty(SMALL_SIZE, np.float32)
-        )  # fmt: skip
 
     def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> np.ndarray:
         """A landmark's map, float16 (5, numbers), see `regression`."""
@@ -91,10 +92,10 @@ class Verifier:
     ) -> tuple[np.ndarray, float] | None:
         """The placement, refined from `start`, and the confidence 0..1. None unless both signatures agree there."""
         settings, lens, placement = self._settings, lens_of(camera, curved=known.is_place), start.copy()
-        confidence, share, _ = refine(
-            *self._small.source(pyramid, placement), lens, placement, known.small_patch, known.small_signature,
-            known.maps, self._turns, _FREE_PLACE if known.is_place else _FREE,
-            settings.tolerance, *self._scratch, *self._small.plan,
+        confidence, share = refine(
+            *self._small.source(pyramid, placement, lens, whole=True), lens, placement, known.small_patch,
+            known.small_signature, known.maps, self._turns, _FREE_PLACE if known.is_place else _FREE,
+            settings.tolerance, *self._small.plan,
         )  # fmt: skip
         if confidence < settings.worth_a_look or share < settings.least_share:
             return None

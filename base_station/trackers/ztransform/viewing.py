@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
+from numba import njit
+
+from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X
 
 KEYSTONE_SIGMA, ASPECT_SIGMA = 0.006, 0.004
 """How exact the tracker is in each, for their weights; only the ratio counts."""
@@ -24,15 +26,16 @@ STEEPEST_RAD = math.radians(75.0)
 STEPS = 6
 
 
-def view_angle_rad(placement: np.ndarray, learned: np.ndarray, lens: np.ndarray) -> float:
+@njit(cache=True, error_model="numpy")
+def view_angle_rad(placement, learned, lens):
     """How far the line of sight has turned since the target was learned, see `TrackerResult.view_angle_rad`.
 
     `placement`, `learned`: see `kernels`; `lens`: of a flat view. The learned view is taken as square to the target.
     Exact for an upright flat target whose plane is turned by less than 75 degrees against the image.
     """
-    x, _, width, height, keystone = placement.tolist()
-    x0, _, width0, height0, _ = learned.tolist()
-    _, focal_px, middle_px, _ = lens.tolist()
+    x, width, height, keystone = placement[X], placement[WIDTH], placement[HEIGHT], placement[KEYSTONE]
+    x0, width0, height0 = learned[X], learned[WIDTH], learned[HEIGHT]
+    focal_px, middle_px = lens[1], lens[2]
     strength = width0 / focal_px * height / height0
     tan_azimuth = (x - middle_px) / focal_px
     aspect = width / height * height0 / width0

@@ -10,6 +10,7 @@ from base_station.evaluation.conditions import (
     TARGET,
     Disturbance,
     disturbed_view,
+    looks_without_target,
     reference_view,
     views_without_target,
 )
@@ -115,3 +116,16 @@ def test_look_alikes_share_what_they_are_named_for_and_not_the_target(world, oth
     for name, view in views.items():
         likeness = np.corrcoef(view[box].ravel(), reference[box].ravel())[0, 1]
         assert abs(likeness) < 0.5, name
+
+
+def test_looks_without_the_target_are_many_and_all_different():
+    rng = np.random.default_rng(0)
+    reference, *others = (rng.integers(60, 200, (480, 640)).astype(np.uint8) for _ in range(3))
+    looks = list(looks_without_target(reference, others, 3, np.random.default_rng(1)))
+    assert [kind for kind, _ in looks] == ["other", "mirrored", "shuffled", "spectrum"] * 3
+    assert len({view.tobytes() for _, view in looks}) == 12
+    assert all(view.dtype == np.uint8 and view.shape == (480, 640) for _, view in looks)
+    first = views_without_target(reference, others[0])
+    assert all((view == first[kind]).all() for kind, view in looks[:4])
+    again = looks_without_target(reference, others, 3, np.random.default_rng(1))
+    assert all((view == same).all() for (_, view), (_, same) in zip(looks, again, strict=True))

@@ -21,16 +21,17 @@ class Room:
     """A box around the world's origin, `size` metres (x right, y down, z forwards), with seeded walls."""
 
     def __init__(self, camera: SlamCamera, size: tuple[float, float, float] = (5.0, 3.0, 5.0), seed: int = 0) -> None:
-        self._half = np.array(size) / 2
+        self._half = np.array(size, np.float32) / 2
         self._walls = np.vstack([_texture(np.random.default_rng([seed, wall])) for wall in range(6)])
         columns, rows = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
         self._rays = np.stack(
             [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1
-        )
+        ).astype(np.float32)
 
     def picture(self, world_from_cam: np.ndarray) -> np.ndarray:
         """What a camera there sees, uint8."""
-        rays, center = self._rays @ world_from_cam[:3, :3].T, world_from_cam[:3, 3]
+        rays = self._rays @ world_from_cam[:3, :3].T.astype(np.float32)
+        center = world_from_cam[:3, 3].astype(np.float32)
         with np.errstate(divide="ignore"):
             to_wall = (np.sign(rays) * self._half - center) / rays
         axis = np.argmin(to_wall, axis=-1)

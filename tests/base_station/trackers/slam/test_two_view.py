@@ -43,7 +43,7 @@ def test_a_room(noise_px, outliers, rotation_rad, direction_rad, least, most):
     assert least <= len(found.rows) <= most
     scale = np.linalg.norm(truth[:3, 3])
     error = np.linalg.norm(found.points * scale - points[found.rows], axis=1)
-    assert np.median(error) < 0.02 + 0.15 * noise_px
+    assert np.median(error) < 0.02 + 0.2 * noise_px
 
 
 def test_a_wall_is_found_by_the_homography():
