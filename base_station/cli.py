@@ -46,7 +46,7 @@ from base_station.results import ResultsFile
 from base_station.scale import Scale
 from base_station.station import ScaleMaker, Station, StationSettings, Step
 from base_station.terminal import pressed_keys
-from base_station.trackers.base import Tracker
+from base_station.trackers.base import Surveyor, Tracker
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracker_names
 from base_station.types import Box
 from protocol import FRAME_PORT
@@ -66,8 +66,8 @@ class Run:
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
     """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
-    """follow, goto (back to where the target was learned), idle, pattern (listing A.2's drive) or teleop (w a s d or
-    arrow keys)."""
+    """follow, goto (back to where the target was learned), route (laps along a simulated scenario's waypoints), idle,
+    pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
     pan: bool = False
     """follow: turn the camera on its pan-tilt after the target, and the body after the camera."""
     target: str | None = None
@@ -78,7 +78,7 @@ class Run:
     memory: Path = DEFAULT_MEMORY
     """The file that holds the landmark (see base-station landmarks)."""
     until_there: bool = False
-    """With behaviour goto: end when it is there, or has given up (exit code 1)."""
+    """With behaviour goto or route: end when it is there, or has given up (exit code 1)."""
     target_width_m: float | None = None
     """How wide the target is; results then carry its distance."""
     learned_distance_m: float | None = None
@@ -335,6 +335,8 @@ def _run(run: Run, console: Console) -> int:
         _end_on_signals(station)
         _drive(station)
         log.wait_for_truth()
+        log.laps = station.laps
+        log.note_survey(tracker.survey() if isinstance(tracker, Surveyor) else None)
     return _conclude(run, console, link, log, picture, station.outcome)
 
 

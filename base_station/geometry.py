@@ -37,3 +37,18 @@ class PinholeCamera:
     def elevation_rad(self, y_px: float) -> float:
         """Angle from the optical axis of what is seen in row y (at the middle column), upwards positive."""
         return math.atan2(self.cy - y_px, self.fy)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatPose:
+    """Of a robot on the floor: place, and heading from the x axis, counter-clockwise from above (not wrapped)."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+    def sees(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """How far ahead of it and to its left a point lies, in m."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        dx, dy = x_m - self.x_m, y_m - self.y_m
+        return c * dx + s * dy, c * dy - s * dx

@@ -18,8 +18,9 @@ import zmq
 from base_station.announcer import Announcer
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
-from base_station.geometry import PinholeCamera
+from base_station.geometry import FlatPose, PinholeCamera
 from base_station.head import Angles, HeadAngles
+from base_station.odometry import WheelOdometry
 from base_station.rows import NO_ROWS, Rows, RowSwitch
 from base_station.sockets import Control, ControlLine, LinkLost, RawConnection, TelemetryFeed, UnknownHost
 from base_station.types import Frame
@@ -110,6 +111,7 @@ class Link:
         self._session: _Session | None = None
         self._clock = FrameClock()
         self._angles = HeadAngles()
+        self._odometry = WheelOdometry()
         self._fresh = threading.Condition()
         self._newest: _Arrival | None = None
         self._failure: StationError | None = None
@@ -190,6 +192,11 @@ class Link:
     def camera_angles(self, frame: Frame) -> Angles | None:
         """Pan and tilt of the camera when the frame was taken; None when it is fixed, or nothing is known."""
         return self._angles.of((frame.connection, frame.number))
+
+    def driven(self, frame: Frame) -> FlatPose | None:
+        """Where the wheels say that the robot is, from where it was in the first message; None when they measure
+        nothing."""
+        return self._odometry.of((frame.connection, frame.number))
 
     def show(self, sight: str, connection: str) -> None:
         """Let the robot's lights, where it has any, tell what is seen (one of SIGHTS). Returns at once."""
@@ -345,6 +352,8 @@ class Link:
 
     def _take_telemetry(self, telemetry: Telemetry) -> None:
         self.telemetry = telemetry
+        if self.hello is not None:
+            self._odometry.note(telemetry, self.hello.limits)
         stamp = telemetry.frame
         if stamp is not None and telemetry.station is not None:
             self._angles.note(telemetry.station, stamp)  # first: in lockstep the loop waits for the time only

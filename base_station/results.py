@@ -15,7 +15,7 @@ COLUMNS = (
     "shift_px", "shift_y_px", "bearing_deg", "elevation_deg", "zoom", "confidence", "left", "right",
     "view_angle_deg", "range_m",
     "shadow_state", "shadow_bearing_deg", "shadow_zoom", "shadow_confidence",
-    "pan_deg",
+    "pan_deg", "compass_deg",
 )  # fmt: skip
 
 
@@ -54,6 +54,7 @@ class ResultsFile:
                 _text(result.range_m),
                 *seen_in_shadow,
                 _text(_degrees(step.pan_rad)),
+                _text(_degrees(result.compass_rad)),
             ]
         )
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome
 from base_station.behaviours.registry import BehaviourContext, make_behaviour
+from base_station.behaviours.route import Route
 from base_station.errors import StationError
-from base_station.geometry import PinholeCamera
+from base_station.geometry import FlatPose, PinholeCamera
 from base_station.head import Angles, PanHead
 from base_station.link import Link
 from base_station.rows import Rows, united
@@ -99,6 +100,8 @@ class Station:
         self._on_step, self._on_wait = on_step, on_wait
         self._behaviour: Behaviour | None = None
         self._head: PanHead | None = None
+        self._driven: FlatPose | None = None
+        """Where the robot is in the present frame, by its wheels."""
         self._connection = ""
         self._stopping = False
         self._target = self.settings.target
@@ -114,6 +117,11 @@ class Station:
     def outcome(self) -> Outcome | None:
         """How the behaviour's journey ended; None while it goes on, or when the behaviour is no journey."""
         return self._outcome
+
+    @property
+    def laps(self) -> int | None:
+        """Driven to their end; None when the behaviour drives none."""
+        return self._behaviour.laps if isinstance(self._behaviour, Route) else None
 
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
@@ -200,6 +208,7 @@ class Station:
     def _command(self, behaviour: Behaviour, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
         if self._head is not None and angles is not None:
             self._head.pan_rad = angles[0]
+        self._driven = self._link.driven(frame)
         command = behaviour.command(result if self._learned else None, frame.time_s)
         if self._head is not None and self._link.hello is not None and self._link.hello.rhythm == "lockstep":
             self._head.settle(LOCKSTEP_LOOK_S)
@@ -236,8 +245,19 @@ class Station:
             self._let_go_of_head()
             if self.settings.pan:
                 self._head = self._take_head()
-            context = BehaviourContext(drive=Drive(limits), keys=self._keys, camera=frame.camera, head=self._head)
-            self._behaviour = make_behaviour(self.settings.behaviour, context)
+            scenario = self._link.hello.scenario if self._link.hello is not None else None
+            context = BehaviourContext(
+                drive=Drive(limits),
+                keys=self._keys,
+                camera=frame.camera,
+                head=self._head,
+                course=scenario.course if scenario is not None else (),
+                where=lambda: self._driven,
+            )
+            try:
+                self._behaviour = make_behaviour(self.settings.behaviour, context)
+            except ValueError as error:
+                raise StationError(f"--behaviour {self.settings.behaviour}: {error}.", usage=True) from error
         return self._behaviour
 
     def _take_head(self) -> PanHead:

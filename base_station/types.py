@@ -139,12 +139,15 @@ class TrackerResult:
     """The target's outline in this frame."""
     cam_from_world: np.ndarray | None = None
     """4x4, for trackers that know a pose."""
+    compass_rad: float | None = None
+    """Direction, from the optical axis of now, of what was straight ahead when the target was learned; left positive,
+    -pi..pi. By a compass that keeps it without seeing the target: the one number that is there in any state."""
 
     def __post_init__(self) -> None:
         if self.state is not TrackingState.TRACKING:
             self._check_empty()
         for name in (
-            "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m"
+            "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m", "compass_rad"
         ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):

@@ -59,6 +59,8 @@ class Scenario:
     name: str
     seed: int
     events: tuple[ScenarioEvent, ...] = ()
+    course: tuple[tuple[float, float], ...] = ()
+    """Waypoints (ahead m, left m) of a closed lap, from where the robot starts and looks; empty without a course."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,8 +187,8 @@ class Truth:
 
     `robot` and `target` are (x m, y m, heading rad). `bearing_rad` is the direction of the picture's centre, seen from
     the camera, from the robot's heading (the optical axis of a fixed camera, and of one that pans by 0), `range_m` its
-    distance from the camera, both None without a picture (in `turn` the bearing is that of the heading at the start).
-    `in_view`: the whole picture is in the frame and not hidden.
+    distance from the camera, both None without a picture (then the bearing is that of the heading at the start).
+    `in_view`: the whole picture is in the frame and not hidden (without a picture: half of the view at the start is).
     """
 
     robot: tuple[float, float, float]

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from base_station.behaviours.base import Behaviour, Drive, Head
 from base_station.behaviours.follow import Follow
 from base_station.behaviours.goto import Goto
+from base_station.behaviours.route import Route
 from base_station.behaviours.scripted import Idle, Pattern
 from base_station.behaviours.teleop import Teleop
-from base_station.geometry import PinholeCamera
+from base_station.geometry import FlatPose, PinholeCamera
 
 
 @dataclass(frozen=True)
@@ -24,12 +25,17 @@ class BehaviourContext:
     camera: PinholeCamera
     head: Head | None = None
     """The camera's pan-tilt, when it is to be used."""
+    course: tuple[tuple[float, float], ...] = ()
+    """Waypoints of a lap, in m, from where the robot was when the connection began."""
+    where: Callable[[], FlatPose | None] = lambda: None
+    """Where the robot is in the present frame, by its wheels."""
 
 
 BEHAVIOURS: dict[str, Callable[[BehaviourContext], Behaviour]] = {
     "follow": lambda context: Follow(context.drive, head=context.head),
     "goto": lambda context: Goto(context.drive, context.camera),
     "idle": lambda context: Idle(),
+    "route": lambda context: Route(context.drive, context.course, context.where),
     "pattern": lambda context: Pattern(),
     "teleop": lambda context: Teleop(context.drive, context.keys),
 }

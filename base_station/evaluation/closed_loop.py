@@ -5,6 +5,7 @@ The truth comes from the simulator's telemetry and is used here only, after the 
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -13,8 +14,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from base_station.evaluation import pose_errors
+from base_station.evaluation import drive_errors, pose_errors
 from base_station.station import Step
+from base_station.trackers.base import Survey
 from base_station.types import TrackerResult, TrackingState
 from protocol import Telemetry, Truth
 
@@ -72,6 +74,25 @@ class Summary:
     view_angle_estimate_error_deg_rms: float | None
     range_estimate_error_rel_rms: float | None
     """Reported against true distance, where the scale is known."""
+    compass_error_deg_rms: float | None
+    """Heading since learning as the tracker's compass has it, against the true one; in all states."""
+    compass_error_without_pose_deg_rms: float | None
+    """The same, of the frames without `cam_from_world`."""
+    compass_share: float | None
+    """Of the frames since learning, those in which the compass knew the heading; None for a tracker without one."""
+    path_m: float | None
+    """Truly driven since learning."""
+    laps: int | None
+    """Driven to their end, with behaviour route."""
+    loops_closed: int | None
+    """By a tracker that maps; so are the next ones."""
+    keyframes: int | None
+    maps: int | None
+    trajectory_share: float | None
+    """Of the frames since learning, those with a pose in the largest map."""
+    ate_rmse_m: float | None
+    """Absolute trajectory error, as corrected at the end, after the similarity that fits best."""
+    ate_share_of_path: float | None
     settled_s: float | None
     """From learning (or from when the robot was set down) until within 1 cm and 0.5 degrees for good."""
     lost_said_after_s: float | None
@@ -132,6 +153,13 @@ class LoopLog:
         self._first_telemetry: Telemetry | None = None
         self._last_telemetry: Telemetry | None = None
         self._cpu_zero_s = time.process_time()
+        self._survey: Survey | None = None
+        self.laps: int | None = None
+        """Driven, if laps are what the behaviour drives."""
+
+    def note_survey(self, survey: Survey | None) -> None:
+        """What the tracker mapped, after the run."""
+        self._survey = survey
 
     def note_telemetry(self, telemetry: Telemetry) -> None:
         """Keep the truth of the frame that the message stamps."""
@@ -226,6 +254,12 @@ class LoopLog:
             final_heading_error_deg=_mean_abs(_against(final, learned, pose_errors.heading_error_rad), math.degrees(1)),
             view_angle_estimate_error_deg_rms=_rms(_view_angle_errors_deg(settled, learned)),
             range_estimate_error_rel_rms=_rms(_range_errors(settled)),
+            compass_error_deg_rms=_rms(_compass_errors_deg(rows, learned)),
+            compass_error_without_pose_deg_rms=_rms(_compass_errors_deg(rows, learned, without_pose=True)),
+            compass_share=_compass_share(rows),
+            path_m=_path_m(rows),
+            laps=self.laps,
+            **drive_errors.mapped(self._survey, [(row.time_s, row.truth) for row in rows], _path_m(rows)),
             settled_s=_settled_s(rows, learned_range_m),
             lost_said_after_s=said_s,
             lost_reason=reason,
@@ -318,6 +352,27 @@ def _view_angle_errors_deg(rows: list[_Row], learned: Truth | None) -> list[floa
         return []
     pairs = [(row.seen.result.view_angle_rad, pose_errors.view_angle_rad(row.truth, learned)) for row in rows]
     return [math.degrees(seen - true) for seen, true in pairs if seen is not None and true is not None]
+
+
+def _compass_errors_deg(rows: list[_Row], learned: Truth | None, *, without_pose: bool = False) -> list[float]:
+    if learned is None:
+        return []
+    return [
+        math.degrees(math.remainder(seen.compass_rad + row.truth.robot[2] - learned.robot[2], 2 * math.pi))
+        for row in rows
+        if (seen := row.seen.result).compass_rad is not None and not (without_pose and seen.cam_from_world is not None)
+    ]
+
+
+def _compass_share(rows: list[_Row]) -> float | None:
+    known = [row.seen.result.compass_rad is not None for row in rows]
+    return _rounded(float(np.mean(known))) if any(known) else None
+
+
+def _path_m(rows: list[_Row]) -> float | None:
+    """Of the robot; where it was carried does not count."""
+    steps = [math.dist(a.truth.robot[:2], b.truth.robot[:2]) for a, b in itertools.pairwise(rows)]
+    return _rounded(sum(step for step in steps if step <= SET_DOWN_M)) if steps else None
 
 
 def _range_errors(rows: list[_Row]) -> list[float]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from base_station.types import Box, Frame, TrackerResult
 
@@ -28,6 +31,26 @@ class Tracker(Protocol):
 
     def close(self) -> None:
         """Let go of everything. May be called twice."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What a mapping tracker knows at the end. `trajectory`: (time_s, world_from_cam 4x4) of the frames with a pose in
+    the largest map, as corrected since; its unit and origin are the map's own."""
+
+    trajectory: list[tuple[float, np.ndarray]]
+    loops: int
+    keyframes: int
+    maps: int
+
+
+@runtime_checkable
+class Surveyor(Tracker, Protocol):
+    """A tracker that maps."""
+
+    def survey(self) -> Survey | None:
+        """After the last frame; waits until the map is finished. None before anything was learned."""
         ...
 
 

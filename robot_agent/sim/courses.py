@@ -17,11 +17,13 @@ from robot_agent.sim.poses import Pose, wrapped
 ROOM_HALF_SIZE_M = 3.0
 WALL_CLEARANCE_M = 0.8
 MIN_RADIUS_M = 0.75
+LAP_RADIUS_M, LAP_EXTENT_M = 0.45, 1.7
 MAX_FACING_RAD = math.radians(33.0)
 """Largest angle between the picture's normal and the ideal pursuer's line of sight."""
 
 _TABLE_POINTS = 2880
 _RAMP_START_S, _RAMP_S, _FADE_S = 1.0, 2.0, 3.0
+SWINGS_END_S, TURN_RAD_S = 20.0, math.radians(30.0)
 
 
 class ClosedCourse:
@@ -110,6 +112,14 @@ def draw_course(rng: np.random.Generator, *, distance_m: float, picture_behind_m
             return course
 
 
+def draw_lap(rng: np.random.Generator) -> ClosedCourse:
+    """A lap of 6 to 7.5 m for a robot that drives by itself, with room for furniture on both sides."""
+    while True:
+        course = _draw_loop(rng)
+        if 6.0 <= course.length_m <= 7.5 and course.min_radius_m >= LAP_RADIUS_M and course.extent_m <= LAP_EXTENT_M:
+            return course
+
+
 def _draw_loop(rng: np.random.Generator) -> ClosedCourse:
     angle = np.linspace(0.0, 2.0 * np.pi, _TABLE_POINTS + 1)
     radius = np.ones_like(angle)
@@ -193,26 +203,39 @@ class Dash:
 
 @dataclass(frozen=True, kw_only=True)
 class Turntable:
-    """A smooth to and fro about the start: two swings of different periods, faded in after a second."""
+    """A smooth to and fro about the start: two swings of different periods, faded in after a second and out at 20 s.
+    Then one whole turn."""
 
     amplitude_rad: tuple[float, float]
     period_s: tuple[float, float]
     phase_rad: tuple[float, float]
+    whole_turn: float = 1.0
+    """+1 to the left, -1 to the right."""
 
     def angle_rad(self, time_s: float) -> float:
         """Rotation to the left since the start."""
-        fade = min(max((time_s - _RAMP_START_S) / _FADE_S, 0.0), 1.0)
+        fade = min(max(min(time_s - _RAMP_START_S, SWINGS_END_S - time_s) / _FADE_S, 0.0), 1.0)
         swings = zip(self.amplitude_rad, self.period_s, self.phase_rad, strict=True)
         angle = sum(a * math.sin(2.0 * math.pi * time_s / p + f) for a, p, f in swings)
-        return angle * fade * fade * (3.0 - 2.0 * fade)
+        return angle * fade * fade * (3.0 - 2.0 * fade) + self.whole_turn * _turned_rad(time_s - SWINGS_END_S)
+
+
+def _turned_rad(time_s: float) -> float:
+    """A whole turn at TURN_RAD_S, with a second of speeding up and one of slowing down."""
+    t = min(max(time_s, 0.0), 2 * math.pi / TURN_RAD_S + 1.0)
+    left_s = 2 * math.pi / TURN_RAD_S + 1.0 - t
+    if t < 1.0:
+        return TURN_RAD_S * t * t / 2
+    return TURN_RAD_S * (t - 0.5) if left_s > 1.0 else 2 * math.pi - TURN_RAD_S * left_s * left_s / 2
 
 
 def draw_turntable(rng: np.random.Generator) -> Turntable:
-    """Within 25 degrees of the start and slower than 30 degrees a second."""
+    """Swings within 25 degrees of the start and slower than 30 degrees a second."""
     return Turntable(
         amplitude_rad=(math.radians(rng.uniform(16.0, 19.0)), math.radians(rng.uniform(4.0, 6.0))),
         period_s=(float(rng.uniform(8.0, 10.0)), float(rng.uniform(3.2, 4.2))),
         phase_rad=(float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(0, 2 * np.pi))),
+        whole_turn=float(rng.choice((-1.0, 1.0))),
     )
 
 

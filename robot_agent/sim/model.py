@@ -15,6 +15,7 @@ from protocol import Intrinsics
 from robot_agent.sim import scenarios, textures, thymio
 from robot_agent.sim.clutter import exchanged, mirrored
 from robot_agent.sim.courses import ROOM_HALF_SIZE_M
+from robot_agent.sim.furnishing import Block
 from robot_agent.sim.poses import Pose
 
 WALL_HEIGHT_M = 1.5
@@ -30,6 +31,7 @@ _SERVO_INERTIA, _SERVO_RATE_S = 1.2e-5, 65.0
 """Of a pan-tilt's servo, gears and all (kg m2), and how fast it answers (1/s)."""
 _PLAIN_WALL_GRAY, _PLAIN_FLOOR_GRAY = 150, 128
 _FLOOR_PX, _WALL_PX, _PICTURE_PX = (2048, 2048), (512, 2048), (512, 512)
+_BLOCK, _BLOCK_PX = "block", (256, 256)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +57,7 @@ def build_model(
     images = _images(stage, np.random.default_rng(texture_seed))
     fovy_deg = float(np.degrees(2.0 * np.arctan(height / 2.0 / intrinsics.fy)))
     assets = "".join(
-        f'<texture name="{name}" type="2d" file="{name}.png"/>'
+        f'<texture name="{name}" type="{"cube" if name.startswith(_BLOCK) else "2d"}" file="{name}.png"/>'
         f'<material name="{name}" texture="{name}" emission="1" specular="0" shininess="0"/>'
         for name in images
     )
@@ -85,6 +87,9 @@ def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.nd
         images |= {name: textures.texture(rng, *_WALL_PX, style) for name in _WALLS}
     if stage.picture is not None:
         images["picture"] = textures.texture(rng, *_PICTURE_PX, textures.PICTURE)
+    for number, block in enumerate(stage.furniture):
+        if block.printed:
+            images[f"{_BLOCK}{number}"] = textures.texture(rng, *_BLOCK_PX, textures.PICTURE)
     if stage.clutter is not None:
         images |= {"mirrored": mirrored(images["picture"]), "exchanged": exchanged(images["picture"])}
         images["board"] = textures.texture(rng, *_PICTURE_PX, textures.BOARD)
@@ -144,7 +149,17 @@ def _room(stage: scenarios.Stage) -> str:
             f'<geom class="obstacle" type="box" size="{size}" material="screen"'
             f' pos="{screen.pose.x_m} {screen.pose.y_m} {screen.height_m / 2}" euler="0 0 {screen.pose.heading_rad}"/>'
         )
-    return "".join(parts)
+    return "".join(parts) + "".join(_block(number, block) for number, block in enumerate(stage.furniture))
+
+
+def _block(number: int, block: Block) -> str:
+    length, width, height = block.size_m
+    material = f"{_BLOCK}{number}" if block.printed else "trim"
+    return (
+        f'<geom class="obstacle" type="box" size="{length / 2} {width / 2} {height / 2}" material="{material}"'
+        f' pos="{block.pose.x_m} {block.pose.y_m} {block.bottom_m + height / 2}"'
+        f' euler="0 0 {block.pose.heading_rad}"/>'
+    )
 
 
 def _picture_geom(picture: scenarios.Picture, pose: Pose) -> str:

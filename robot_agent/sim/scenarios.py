@@ -17,6 +17,7 @@ import numpy as np
 from robot_agent.errors import AgentError
 from robot_agent.sim import courses
 from robot_agent.sim.clutter import Clutter, draw_clutter
+from robot_agent.sim.furnishing import Block, furnish
 from robot_agent.sim.poses import Pose
 
 LEADER_PICTURE_BEHIND_M = 0.036
@@ -27,6 +28,7 @@ POSTER_HOLD_S = 2.0
 POSTER_TURN_RAD = math.radians(20.0)
 ARC_RAD = math.radians(20.0)
 PLAIN_ESCAPE_S = 20.0
+WAYPOINTS_APART_M = 0.10
 
 _POSTER_OFF_WALL_M = 0.004
 
@@ -66,6 +68,9 @@ class Stage:
     light: Callable[[float], float] = courses.steady_light
     """Brightness, 0..1."""
     textured: bool = True
+    furniture: tuple[Block, ...] = ()
+    course: tuple[tuple[float, float], ...] = ()
+    """Waypoints (ahead, left) of a closed lap, in m from where the robot starts: for a robot that drives by itself."""
     clutter: Clutter | None = None
     """A busier room, things that move in it and pictures like the target; None without."""
 
@@ -176,6 +181,21 @@ def _turn(rng: np.random.Generator) -> Stage:
     return Stage(robot_start=start, held=lambda time_s: start.moved(turned_rad=table.angle_rad(time_s)))
 
 
+def _loop(rng: np.random.Generator) -> Stage:
+    """A furnished room, and a lap through it that the robot is to drive."""
+    course = courses.draw_lap(rng)
+    start = course.at(0.0)
+    count = round(course.length_m / WAYPOINTS_APART_M)
+    places = [course.at(course.length_m * k / count) for k in range(count)]
+    c, s = math.cos(start.heading_rad), math.sin(start.heading_rad)
+    from_start = [(place.x_m - start.x_m, place.y_m - start.y_m) for place in places]
+    return Stage(
+        robot_start=start,
+        furniture=furnish(rng, course),
+        course=tuple((c * dx + s * dy, c * dy - s * dx) for dx, dy in from_start),
+    )
+
+
 def _follower_start(course: courses.ClosedCourse) -> Pose:
     return course.at(0.0).moved(ahead_m=-LEADER_PICTURE_BEHIND_M - FOLLOW_DISTANCE_M)
 
@@ -193,8 +213,9 @@ SCENARIOS: dict[str, Callable[[np.random.Generator], Stage]] = {
     "clutter-lights": functools.partial(_cluttered, light=courses.changing_light),
     "plain": _plain,
     "turn": _turn,
+    "loop": _loop,
 }
 """poster: go back to a picture on the wall. arc: the same from aside. leader: follow a robot. lights: the same while
 the light changes. clutter, clutter-lights: both among pictures like the target and before a background that moves.
-plain: the same in a featureless room, until the leader escapes. turn: watch a place from a
-turntable."""
+plain: the same in a featureless room, until the leader escapes. turn: watch a place from a turntable, which in the end
+turns round. loop: drive laps through a furnished room."""

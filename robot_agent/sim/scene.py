@@ -68,7 +68,7 @@ class Scene:
         if self.stage.leader is not None:
             self.engine.place_leader(self.stage.leader(0.0))
         self.engine.refresh()
-        self.announcement = Scenario(name=scenario, seed=seed, events=(self._learn_event(),))
+        self.announcement = Scenario(name=scenario, seed=seed, events=(self._learn_event(),), course=self.stage.course)
         """What hello says of it."""
 
     def move_background(self, time_s: float) -> None:
@@ -88,7 +88,9 @@ class Scene:
         robot, view, target = self.engine.robot_pose, self.engine.picture_view(), self.engine.picture_pose
         if view is None or target is None:
             bearing = wrapped(self.stage.robot_start.heading_rad - self.engine.mount_heading_rad)
-            return Truth(robot=_flat(robot), bearing_rad=bearing, in_view=True, collisions=collisions)
+            half_view_rad = math.atan2(self.width / 2, self.intrinsics.fx)
+            in_view = abs(bearing) <= half_view_rad  # half of the learned view, or more
+            return Truth(robot=_flat(robot), bearing_rad=bearing, in_view=in_view, collisions=collisions)
         in_view = view.is_framed(self.intrinsics, self.width, self.height) and all(
             self.engine.sees(point) for point in (view.centre, *view.corners)
         )

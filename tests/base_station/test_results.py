@@ -56,6 +56,7 @@ def test_each_frame_is_a_row_with_what_the_tracker_could_tell_and_the_command(tm
         "shift_px": "-12.5000", "shift_y_px": "3.2500", "bearing_deg": "2.5000", "elevation_deg": "-1.0000",
         "zoom": "1.1250", "confidence": "0.8750", "left": "-5", "right": "6",
         "shadow_state": "", "shadow_bearing_deg": "", "shadow_zoom": "", "shadow_confidence": "", "pan_deg": "",
+            "compass_deg": "",
             "view_angle_deg": "", "range_m": "",
     }  # fmt: skip
     assert rows[1]["state"] == "LOST"

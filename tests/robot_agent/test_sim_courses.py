@@ -87,12 +87,17 @@ def test_the_dash_turns_round_to_its_side_without_a_jump(side):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_turntable_stays_within_25_degrees_and_30_degrees_a_second(seed):
+def test_the_turntable_swings_within_25_degrees_and_30_degrees_a_second_then_turns_once(seed):
     table = courses.draw_turntable(np.random.default_rng(seed))
-    angle = np.degrees([table.angle_rad(t) for t in np.arange(0.0, 120.0, 0.01)])
+    times = np.arange(0.0, 60.0, 0.01)
+    angle = np.degrees([table.angle_rad(t) for t in times])
+    swings = angle[times <= courses.SWINGS_END_S]
     assert angle[0] == 0.0
-    assert 15.0 < np.abs(angle).max() <= 25.0
-    assert 10.0 < np.abs(np.diff(angle)).max() / 0.01 <= 30.0
+    assert 15.0 < np.abs(swings).max() <= 25.0
+    assert np.abs(np.diff(swings)).max() / 0.01 > 10.0
+    assert np.abs(np.diff(angle)).max() / 0.01 == pytest.approx(30.0, abs=0.01)
+    assert abs(angle[-1]) == pytest.approx(360.0)
+    assert np.all(np.abs(np.diff(angle[times > 34.0])) < 1e-9)
 
 
 def test_the_light_falls_to_a_third_by_steps_and_by_ramps_every_20_seconds():

@@ -125,6 +125,13 @@ def result_of(
     )
 
 
+def heading_of(target: MapTarget, world: Map, cam_from_world: np.ndarray) -> float:
+    """Direction, from the camera's optical axis, of what was straight ahead when the target was learned; left
+    positive."""
+    cam_from_learned, _ = target.seen_from(world, cam_from_world)
+    return -math.atan2(float(cam_from_learned[0, 2]), float(cam_from_learned[2, 2]))
+
+
 def _pixel(point: np.ndarray, camera: PinholeCamera) -> tuple[float, float]:
     x, y, depth = (float(value) for value in point)
     return camera.cx + camera.fx * x / depth, camera.cy + camera.fy * y / depth

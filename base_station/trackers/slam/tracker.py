@@ -1,23 +1,29 @@
 """SLAM as a tracker: a target is remembered in the map, and its bearing and zoom follow from the camera's pose.
 
 A monocular map needs some centimetres of motion before it exists, and a target is wanted at once. Until the map knows
-the target, and whenever it is lost, the learned picture's features are looked for in the picture itself.
+the target, and whenever it is lost, the learned picture's features are looked for in the picture itself. When they are
+not in it either, the tracker says so; the heading it keeps all the same, by a compass that needs no map.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from base_station.trackers.base import Survey
 from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
 from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
+from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.matching import match_everywhere
+from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
-from base_station.trackers.slam.target import MapTarget, place_in_map, result_of
+from base_station.trackers.slam.target import MapTarget, heading_of, place_in_map, result_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 SURE_MATCHES = 150
@@ -26,6 +32,16 @@ LEAST_AGREEING = 0.25
 """Of the matches with the learned picture, that must agree on one similarity."""
 PLACE_EVERY = 5
 """Frames between two attempts to place the target in the map."""
+NEARLY_AHEAD_RAD = math.radians(4.0)
+"""A learned view that lies so near to the optical axis sets the compass."""
+
+
+def _turned_by(place: TrackerResult, heading_rad: float, frame: Frame) -> TrackerResult:
+    """A learned place, seen in the picture only: its bearing by the compass, which knows a turn's perspective."""
+    if abs(heading_rad) >= math.pi / 3:
+        return place
+    shift_px = -frame.camera.fx * math.tan(heading_rad)
+    return replace(place, bearing_rad=heading_rad, shift_px=shift_px)
 
 
 class SlamTracker(PatchTracker):
@@ -35,7 +51,10 @@ class SlamTracker(PatchTracker):
     """
 
     def __init__(self, *, settings: SlamSettings | None = None, single_process: bool = False) -> None:
+        """Raises StationError when pycolmap or gtsam is missing. Compiles what needs it now: later a robot waits."""
         super().__init__()
+        libraries.gtsam()
+        rehearse_tracking()
         self._settings, self._single_process = settings, single_process
         self._slam: SlamSystem | None = None
         self._camera: SlamCamera | None = None
@@ -44,6 +63,7 @@ class SlamTracker(PatchTracker):
         self._in_box: np.ndarray = np.empty(0, np.bool_)
         self._learned_center = (0.0, 0.0)
         self._target: MapTarget | None = None
+        self._compass = ZCompass()
         self._frames = 0
 
     @property
@@ -72,6 +92,7 @@ class SlamTracker(PatchTracker):
             self._end_mapper()
             self._slam, self._camera = slam, camera
         self._target, self._frames = None, 0
+        self._compass.start(frame, 0.0)
 
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         features = self._extract(image)
@@ -87,13 +108,32 @@ class SlamTracker(PatchTracker):
         if slam is None or learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
         seen = slam.track(frame.image, frame.time_s)
+        pose = seen.cam_from_world
         self._frames += 1
-        if seen.cam_from_world is not None:
+        if pose is not None:
             self._place(slam)
-            if self._target is not None:
-                confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
-                return result_of(self._target, slam.map, seen.cam_from_world, learned, frame.camera, confidence)
-        return super().update(frame)
+        if pose is None or self._target is None:
+            result = super().update(frame)
+            ahead = learned.is_place and result.bearing_rad is not None and abs(result.bearing_rad) < NEARLY_AHEAD_RAD
+            return self._with_compass(frame, result, result.bearing_rad if ahead else None)
+        confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
+        result = result_of(self._target, slam.map, pose, learned, frame.camera, confidence)
+        return self._with_compass(frame, result, heading_of(self._target, slam.map, pose))
+
+    def _with_compass(self, frame: Frame, result: TrackerResult, heading_rad: float | None) -> TrackerResult:
+        """The result with the heading: as the map or the learned view has it, which then sets the compass; else as the
+        compass has kept it."""
+        kept_rad = self._compass.update(frame)
+        if heading_rad is not None:
+            off_rad = None if kept_rad is None else math.remainder(kept_rad - heading_rad, 2 * math.pi)
+            self._compass.correct(frame, off_rad, heading_rad)
+            return replace(result, compass_rad=heading_rad)
+        if kept_rad is None:
+            return result
+        if result.state is TrackingState.TRACKING:
+            result = replace(result, compass_rad=kept_rad)
+            return _turned_by(result, kept_rad, frame) if self._learned and self._learned.is_place else result
+        return replace(result, compass_rad=kept_rad, reason=f"{result.reason}; the compass keeps the heading")
 
     def _place(self, slam: SlamSystem) -> None:
         """Give the target its place in the map, where the map shows enough of it; and anew when the map has changed."""
@@ -123,6 +163,16 @@ class SlamTracker(PatchTracker):
             return Missed(f"the target is hidden or gone ({len(rows)} of {len(mine)} corners matched)")
         x, y = motion.moved(*learned.center_px)
         return Found(x=x, y=y, zoom=motion.zoom, confidence=motion.inliers / len(rows))
+
+    def survey(self) -> Survey | None:
+        """See `base.Surveyor`."""
+        if self._slam is None:
+            return None
+        self._slam.finish()
+        counts = self._slam.statistics()
+        return Survey(
+            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps
+        )
 
     def _end_mapper(self) -> None:
         if self._slam is not None:
