@@ -103,16 +103,25 @@ class Aligner:
 
     def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
         """From a few tenths of a cell away to where it is exactly."""
-        settings, fine, placement = self._settings, self._fine, placement.copy()
+        placement = placement.copy()
         for whole in (False, True):
-            confidence, share, alike = settle(
-                *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, pyramid.image,
-                fine.learned, fine.energies, fine.changes, fine.hessians, self._slopes, self._slope_energies,
-                self._prior, self._reader.cells, settings.steps, settings.repeat_px, settings.largest_step,
-                settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
-            )  # fmt: skip
-            if share != MORE_TO_READ:
+            found = self.settle_in(
+                self._reader.source(pyramid, placement, lens, whole=whole), pyramid.image, placement, lens
+            )
+            if found.share != MORE_TO_READ:
                 break
+        return found
+
+    def settle_in(
+        self, source: tuple[np.ndarray, np.ndarray], image: np.ndarray, placement: np.ndarray, lens: np.ndarray
+    ) -> Alignment:
+        """The same by the running sums that are at hand, in place. A share of MORE_TO_READ: it left them."""
+        settings, fine = self._settings, self._fine
+        confidence, share, alike = settle(
+            *source, lens, placement, image, fine.learned, fine.energies, fine.changes, fine.hessians, self._slopes,
+            self._slope_energies, self._prior, self._reader.cells, settings.steps, settings.repeat_px,
+            settings.largest_step, settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
+        )  # fmt: skip
         return Alignment(placement, confidence, share, alike)
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
