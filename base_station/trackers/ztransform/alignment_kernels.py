@@ -107,7 +107,7 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
             for i in range(cut.shape[1]):
                 product += changes[b, k, i] * cut[b, i]
             slope[k] -= weight * product
-            for j in range(FREEDOMS):
+            for j in range(k + 1):
                 hessian[k, j] += weight * gains[b] * hessians[b, k, j]
     solve(hessian, slope, step)
     return True
@@ -115,7 +115,8 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def solve(matrix, right, out):
-    """matrix @ out = right, for a positive definite matrix: Cholesky. Overwrites the matrix. (numba's needs SciPy.)"""
+    """matrix @ out = right, for a positive definite matrix, of which the lower half is enough: Cholesky. Overwrites the
+    matrix. (numba's needs SciPy.)"""
     n = len(right)
     for j in range(n):
         for k in range(j):

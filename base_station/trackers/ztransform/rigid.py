@@ -86,6 +86,7 @@ class RigidFollower:
     def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_place: bool) -> None:
         """Remember what is at this placement, and how its signature changes when it moves."""
         self._learned_at, self._is_place = placement.copy(), is_place
+        self._learned_aspect = float(placement[WIDTH] / placement[HEIGHT])
         self._tolerance = self._settings.place_tolerance if is_place else self._settings.tolerance
         self._learned_patch, _ = self.read(pyramid, placement, lens)
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
@@ -146,8 +147,9 @@ class RigidFollower:
                 *source, lens, placement, self._learned_patch, self._learned_signature, self._maps, levels,
                 _FREE_PLACE if self._is_place else _FREE, self._tolerance, *self._reader.plan,
             )  # fmt: skip
-            found = Alignment(placement, confidence, share, 1.0)
-            if share >= ENOUGH_SEEN and not self._is_place:
+            if self._is_place or share < ENOUGH_SEEN:
+                found = Alignment(placement, confidence, share, 1.0)
+            else:
                 found = self._aligner.settle_in(source, pyramid.image, placement, lens)
             if found.share != MORE_TO_READ:
                 break
@@ -156,8 +158,10 @@ class RigidFollower:
     def _judged(self, pyramid: Pyramid, found: Alignment) -> Look:
         """In the whole frame. What got much flatter or wider than it was learned is not believed."""
         placement = found.placement
-        placement[Y] += pyramid.first_row
-        aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
+        if pyramid.first_row:
+            placement[Y] += pyramid.first_row
+        _, _, width, height, _ = placement.tolist()
+        aspect = width / height / self._learned_aspect
         low, high = self._settings.aspects
         confidence = found.confidence if low <= aspect <= high else 0.0
         return Look(placement, confidence, found.share, alike=found.alike, tells_angle=not self._is_place)
