@@ -8,7 +8,6 @@ well it fits. How sure one can be is told by the better half of the blocks: up t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -17,12 +16,13 @@ import numpy as np
 from base_station.trackers.ztransform.alignment_kernels import (
     compare_blocks,
     cut_blocks,
-    resemblance,
     robust_step,
+    settle,
     slope_directions,
 )
-from base_station.trackers.ztransform.kernels import FREEDOMS, HEIGHT, WIDTH, move
+from base_station.trackers.ztransform.kernels import FREEDOMS, move
 from base_station.trackers.ztransform.pyramid import Pyramid
+from base_station.trackers.ztransform.refinement import MORE_TO_READ
 from base_station.trackers.ztransform.signature import SignatureReader
 
 
@@ -103,21 +103,26 @@ class Aligner:
 
     def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
         """From a few tenths of a cell away to where it is exactly."""
-        settings, placement = self._settings, placement.copy()
-        for turn in range(settings.steps + 1):
-            patch, seen, share = self._means(pyramid, placement, lens)
-            cut, compared = self._compare(self._fine, patch, seen)
-            if turn == settings.steps:
+        placement = placement.copy()
+        for whole in (False, True):
+            found = self.settle_in(
+                self._reader.source(pyramid, placement, lens, whole=whole), pyramid.image, placement, lens
+            )
+            if found.share != MORE_TO_READ:
                 break
-            length = self._step(self._fine, placement, cut, compared)
-            if length < settings.repeat_px:
-                break
-        confidence, alike = self._resemblance(patch, compared, 0.0)
-        pixels = placement[WIDTH] * placement[HEIGHT] / self._reader.cells**2
-        if confidence < settings.noisy_below and pixels >= settings.fewest_pixels:
-            noise = pixel_noise(pyramid.image, placement) / math.sqrt(pixels)
-            confidence, alike = self._resemblance(patch, compared, noise)
-        return Alignment(placement, float(confidence), float(share), float(alike))
+        return found
+
+    def settle_in(
+        self, source: tuple[np.ndarray, np.ndarray], image: np.ndarray, placement: np.ndarray, lens: np.ndarray
+    ) -> Alignment:
+        """The same by the running sums that are at hand, in place. A share of MORE_TO_READ: it left them."""
+        settings, fine = self._settings, self._fine
+        confidence, share, alike = settle(
+            *source, lens, placement, image, fine.learned, fine.energies, fine.changes, fine.hessians, self._slopes,
+            self._slope_energies, self._prior, self._reader.cells, settings.steps, settings.repeat_px,
+            settings.largest_step, settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
+        )  # fmt: skip
+        return Alignment(placement, confidence, share, alike)
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
         """From a cell or two away: some steps on the smoothed patch, then as `settle`."""
@@ -127,12 +132,6 @@ class Aligner:
             cut, compared = self._compare(self._coarse, patch, seen)
             self._step(self._coarse, placement, cut, compared)
         return self.settle(pyramid, placement, lens)
-
-    def _resemblance(self, patch: np.ndarray, compared: np.ndarray, noise: float) -> tuple[float, float]:
-        return resemblance(
-            patch, compared, self._fine.energies, self._slopes, self._slope_energies, self._settings.judged_part,
-            self._settings.alike, noise,
-        )  # fmt: skip
 
     def _means(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         return self._reader.means(pyramid, placement, lens, self._reader.cells)
@@ -153,14 +152,13 @@ class Aligner:
         shown = cut_blocks(seen, self._settings.blocks)
         return cut, compare_blocks(cut, shown, level.learned, level.energies)
 
-    def _step(self, level: _Level, placement: np.ndarray, cut: np.ndarray, compared: np.ndarray) -> float:
-        """Move the placement in place; how far that moved it, px."""
+    def _step(self, level: _Level, placement: np.ndarray, cut: np.ndarray, compared: np.ndarray) -> None:
+        """Move the placement in place."""
         step = np.zeros(FREEDOMS)
         robust_step(
             cut, compared, level.learned, level.energies, level.changes, level.hessians, self._prior, step
         )  # fmt: skip
         move(placement, step, self._settings.largest_step)
-        return float(math.hypot(step[0] * placement[WIDTH], step[1] * placement[HEIGHT]))
 
 
 def _moved(placement: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -171,12 +169,3 @@ def _moved(placement: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def _smoothed(patch: np.ndarray, cells: float) -> np.ndarray:
     return cv2.GaussianBlur(patch, (0, 0), cells) if cells else patch
-
-
-def pixel_noise(image: np.ndarray, placement: np.ndarray) -> float:
-    """Standard deviation of the pixels' noise in every eighth row of the target, by second differences; 0 if few."""
-    x, y, width, height, _ = placement.tolist()
-    rows = slice(max(int(y - height / 2), 0), max(int(y + height / 2), 0), 8)
-    lines = image[rows, max(int(x - width / 2), 0) : max(int(x + width / 2), 0)].astype(np.int16)
-    fine = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
-    return 1.4826 * float(np.median(fine)) / math.sqrt(6) if fine.size else 0.0

@@ -12,7 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-from base_station.trackers.ztransform.kernels import FREEDOMS
+from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
+from base_station.trackers.ztransform.kernels import FREEDOMS, HEIGHT, WIDTH, X, Y, inner, move
+from base_station.trackers.ztransform.refinement import MORE_TO_READ
 
 ROUNDING = 0.02
 """Grey levels squared: a block's misfit is never taken for less."""
@@ -105,7 +107,7 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
             for i in range(cut.shape[1]):
                 product += changes[b, k, i] * cut[b, i]
             slope[k] -= weight * product
-            for j in range(FREEDOMS):
+            for j in range(k + 1):
                 hessian[k, j] += weight * gains[b] * hessians[b, k, j]
     solve(hessian, slope, step)
     return True
@@ -113,7 +115,8 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def solve(matrix, right, out):
-    """matrix @ out = right, for a positive definite matrix: Cholesky. Overwrites the matrix. (numba's needs SciPy.)"""
+    """matrix @ out = right, for a positive definite matrix, of which the lower half is enough: Cholesky. Overwrites the
+    matrix. (numba's needs SciPy.)"""
     n = len(right)
     for j in range(n):
         for k in range(j):
@@ -163,6 +166,8 @@ def best_part(likeness, weights, part):
     whole = weights.sum()
     if whole <= 0:
         return 0.0
+    if part >= 1:
+        return inner(weights, likeness) / whole
     order = np.argsort(-likeness)
     total, sum_of = 0.0, 0.0
     for b in order:
@@ -186,7 +191,8 @@ def resemblance(patch, compared, energies, learned_slopes, slope_energies, part,
     blocks = len(compared)
     side = round(math.sqrt(blocks))
     slopes, scales = slope_directions(patch)
-    across, down, scale = cut_blocks(slopes[0], side), cut_blocks(slopes[1], side), cut_blocks(scales, side)
+    across, down = cut_blocks(slopes[0], side), cut_blocks(slopes[1], side)
+    scale = cut_blocks(scales, side) if noise > 0 else across
     variance = np.float32(noise * noise)
     light, fine = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
     light_weights, fine_weights = np.zeros(blocks, np.float32), np.zeros(blocks, np.float32)
@@ -212,3 +218,79 @@ def resemblance(patch, compared, energies, learned_slopes, slope_energies, part,
     light_part, fine_part = best_part(light, light_weights, part), best_part(fine, fine_weights, part)
     whole = max(best_part(fine, fine_weights, 1.0), 0.0)
     return max(light_part, 0.0) * max(fine_part, 0.0) * (0.5 + 0.5 * whole), agreed / total
+
+
+@njit(cache=True, error_model="numpy")
+def pixel_noise(image, placement):
+    """Standard deviation of the pixels' noise in every eighth row of the target, by second differences; 0 if few."""
+    x, y, width, height = placement[X], placement[Y], placement[WIDTH], placement[HEIGHT]
+    top, bottom = max(int(y - height / 2), 0), min(max(int(y + height / 2), 0), image.shape[0])
+    left, right = max(int(x - width / 2), 0), min(max(int(x + width / 2), 0), image.shape[1])
+    counts, n = np.zeros(1021, np.int64), 0
+    for row in range(top, bottom, 8):
+        line = image[row]
+        for column in range(left + 1, right - 1):
+            fine = np.int64(line[column - 1]) - 2 * np.int64(line[column]) + np.int64(line[column + 1])
+            counts[abs(fine)] += 1
+            n += 1
+    if n == 0:
+        return 0.0
+    median = 0.5 * (_ranked(counts, (n - 1) // 2) + _ranked(counts, n // 2))
+    return 1.4826 * median / math.sqrt(6.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _ranked(counts, rank):
+    """Of numbers counted by their value, the one with so many before it."""
+    value, before = 0, counts[0]
+    while before <= rank:
+        value += 1
+        before += counts[value]
+    return value
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def settle(
+    table, where, lens, placement, image, learned, energies, changes, hessians, slopes, slope_energies, prior,
+    cells, steps, repeat_px, largest_step, judged_part, alike, noisy_below, fewest_pixels,
+):  # fmt: skip
+    """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
+
+    Read, compare, step; again while a step is longer than `repeat_px`. A share of MORE_TO_READ: the placement left the
+    table, go on with one of the whole frame. `image`: the frame, whose noise is measured where confidence is below
+    `noisy_below`.
+    """
+    is_whole = table.shape[1] - 1 >= where[3] and table.shape[0] - 1 >= where[4]
+    blocks = round(math.sqrt(len(learned)))
+    patch, seen, step = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8), np.zeros(FREEDOMS)
+    shown = cut_blocks(seen, blocks)
+    compared, share = np.empty((len(learned), 3), np.float32), 1.0
+    for turn in range(steps + 1):
+        if lies(table, where, lens, placement) == IN_FRAME:
+            sample_inside(table, where, lens, placement, patch)
+            if share < 1:
+                share, shown[:] = 1.0, 1
+        elif not is_whole:
+            return 0.0, MORE_TO_READ, 0.0
+        else:
+            share = sample_boxes(table, where, lens, placement, patch, seen)
+            shown = cut_blocks(seen, blocks)
+        cut = cut_blocks(patch, blocks)
+        compared = compare_blocks(cut, shown, learned, energies)
+        if turn == steps:
+            break
+        step[:] = 0.0
+        robust_step(cut, compared, learned, energies, changes, hessians, prior, step)
+        move(placement, step, largest_step)
+        if math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT]) < repeat_px:
+            break
+    confidence, seen_alike = resemblance(
+        patch, compared, energies, slopes, slope_energies, judged_part, alike, 0.0
+    )  # fmt: skip
+    pixels = placement[WIDTH] * placement[HEIGHT] / cells**2
+    if confidence < noisy_below and pixels >= fewest_pixels:
+        noise = pixel_noise(image, placement) / math.sqrt(pixels)
+        confidence, seen_alike = resemblance(
+            patch, compared, energies, slopes, slope_energies, judged_part, alike, noise
+        )  # fmt: skip
+    return confidence, share, seen_alike

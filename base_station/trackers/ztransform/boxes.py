@@ -166,37 +166,58 @@ def sample_boxes(table, where, lens, placement, patch, seen):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sample_inside(table, where, lens, placement, patch):
-    """As `sample_boxes`, of a placement that lies in the frame and in the table; a fourth of the price.
+    """As `sample_boxes`, of a placement that lies in the frame and in the table; a sixth of the price.
 
     First along the rows, for each row of the table the sums between neighbouring edges; then down the columns.
     """
     cells = patch.shape[0]
-    at, part, wide = np.empty(cells + 1, np.int64), np.empty(cells + 1), np.empty(cells)
+    at, part, shares = np.empty(cells + 1, np.uint32), np.empty(cells + 1), np.empty(cells)
     tops, steps = np.empty(cells), np.empty(cells)
     for i in range(cells + 1):
         x, _, _ = column_at(i / cells - 0.5, where, lens, placement)
         at[i] = int(x - where[LEFT])
         part[i] = x - where[LEFT] - at[i]
         if i > 0:
-            wide[i - 1] = (at[i] - at[i - 1]) + (part[i] - part[i - 1])
             _, shrink, _ = column_at((i - 0.5) / cells - 0.5, where, lens, placement)
             tops[i - 1] = row_at(-0.5, shrink, where, lens, placement) - where[TOP]
             steps[i - 1] = placement[HEIGHT] * shrink / (where[SCALE] * cells)
+            wide = float(at[i]) - float(at[i - 1]) + part[i] - part[i - 1]
+            shares[i - 1] = 1.0 / (wide * steps[i - 1])
     first, last = max(int(tops.min()), 0), min(int((tops + cells * steps).max()) + 1, table.shape[0] - 1)
-    strips, edges = np.empty((last - first + 1, cells)), np.empty(cells + 1)
-    for row in range(first, last + 1):
-        for i in range(cells + 1):
-            here = table[row, at[i]]
-            edges[i] = here + part[i] * (table[row, at[i] + 1] - here)
+    strips = np.empty((last - first + 1, cells))
+    _strips_between(table[first : last + 1], at, part, strips)
+    _down_the_columns(strips, tops - first, steps, shares, patch)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _strips_between(table, at, part, strips):
+    """Of each row of the table, the sums between neighbouring edges. First gathered, then reckoned side by side."""
+    here, beyond, edges = np.empty(len(at), np.int32), np.empty(len(at), np.int32), np.empty(len(at))
+    for row in range(len(strips)):
+        line, after, strip = table[row], table[row, 1:], strips[row]
+        for i in range(len(at)):
+            here[i], beyond[i] = line[at[i]], after[at[i]]
+        for i in range(len(at)):
+            edges[i] = here[i] + part[i] * np.int32(beyond[i] - here[i])
+        for i in range(len(strip)):
+            strip[i] = edges[i + 1] - edges[i]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _down_the_columns(strips, tops, steps, shares, patch):
+    """Of each strip, the differences between the edges of the cells, times the share; gathered first, too."""
+    cells, bottom, one = patch.shape[0], float(len(strips) - 2), np.uint32(1)
+    upper, lower, above = np.empty(cells), np.empty(cells), np.zeros(cells)
+    rows, parts = np.empty(cells, np.uint32), np.empty(cells)
+    for j in range(cells + 1):
         for i in range(cells):
-            strips[row - first, i] = edges[i + 1] - edges[i]
-    for i in range(cells):
-        above = 0.0
-        share = 1.0 / (wide[i] * steps[i])
-        for j in range(cells + 1):
-            y = tops[i] + j * steps[i] - first
-            row = min(max(int(y), 0), last - first - 1)
-            now = strips[row, i] + (y - row) * (strips[row + 1, i] - strips[row, i])
+            y = tops[i] + j * steps[i]
+            row = np.int32(min(max(y, 0.0), bottom))
+            rows[i], parts[i] = row, y - row
+        for i in range(cells):
+            upper[i], lower[i] = strips[rows[i], i], strips[rows[i] + one, i]
+        for i in range(cells):
+            now = upper[i] + parts[i] * (lower[i] - upper[i])
             if j > 0:
-                patch[j - 1, i] = (now - above) * share
-            above = now
+                patch[j - 1, i] = (now - above[i]) * shares[i]
+            above[i] = now

@@ -308,6 +308,15 @@ def resemblance(patch: np.ndarray, learned: np.ndarray, blocks: int, part: float
     return max(parts[0], 0) * max(parts[1], 0) * (0.5 + 0.5 * max(whole, 0))
 
 
+def pixel_noise(image: np.ndarray, placement: np.ndarray) -> float:
+    """Standard deviation of the pixels' noise in every eighth row of the target, by second differences; 0 if few."""
+    x, y, width, height, _ = placement.tolist()
+    rows = slice(max(int(y - height / 2), 0), max(int(y + height / 2), 0), 8)
+    lines = image[rows, max(int(x - width / 2), 0) : max(int(x + width / 2), 0)].astype(int)
+    fine = np.abs(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2])
+    return 1.4826 * float(np.median(fine)) / np.sqrt(6) if fine.size else 0.0
+
+
 def count_votes(window: np.ndarray, learned: np.ndarray, side: int, faint: float) -> np.ndarray:
     """Votes of the learned picture's square pieces for every shift of it in the window; see `pieces`."""
     shifts, n = len(window) - len(learned) + 1, len(learned) // side

@@ -29,8 +29,10 @@ class RigidSettings:
     """A learned place is searched for in this range only."""
     sudden_zoom: float = 1.5
     """From one frame to the next a target does not get larger or smaller than by this factor."""
-    tolerance: float = 0.001
-    """In target widths: refining ends when a step is smaller."""
+    tolerance: float = 0.01
+    """In target widths: refining ends when a step is smaller, and settling goes on from there."""
+    place_tolerance: float = 0.001
+    """The same of a place, which nothing settles."""
     signature: SignatureSettings = field(default_factory=SignatureSettings)
     """How a patch is read."""
     regression: RegressionSettings = field(default_factory=RegressionSettings)
@@ -84,6 +86,8 @@ class RigidFollower:
     def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_place: bool) -> None:
         """Remember what is at this placement, and how its signature changes when it moves."""
         self._learned_at, self._is_place = placement.copy(), is_place
+        self._learned_aspect = float(placement[WIDTH] / placement[HEIGHT])
+        self._tolerance = self._settings.place_tolerance if is_place else self._settings.tolerance
         self._learned_patch, _ = self.read(pyramid, placement, lens)
         self._learned_signature, _ = self._reader.signature(self._learned_patch)
         self._maps = learn_maps(pyramid, placement, lens, self._reader, self._settings.regression)
@@ -138,22 +142,26 @@ class RigidFollower:
     def _refine(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray, levels: np.ndarray) -> Look:
         placement, lens = _in_band(pyramid, start, lens)
         for whole in (False, True):
+            source = self._reader.source(pyramid, placement, lens, whole=whole)
             confidence, share = refine(
-                *self._reader.source(pyramid, placement, lens, whole=whole), lens, placement, self._learned_patch,
-                self._learned_signature, self._maps, levels, _FREE_PLACE if self._is_place else _FREE,
-                self._settings.tolerance, *self._reader.plan,
+                *source, lens, placement, self._learned_patch, self._learned_signature, self._maps, levels,
+                _FREE_PLACE if self._is_place else _FREE, self._tolerance, *self._reader.plan,
             )  # fmt: skip
-            if share != MORE_TO_READ:
+            if self._is_place or share < ENOUGH_SEEN:
+                found = Alignment(placement, confidence, share, 1.0)
+            else:
+                found = self._aligner.settle_in(source, pyramid.image, placement, lens)
+            if found.share != MORE_TO_READ:
                 break
-        if self._is_place or share < ENOUGH_SEEN:
-            return self._judged(pyramid, Alignment(placement, float(confidence), float(share), 1.0))
-        return self._judged(pyramid, self._aligner.settle(pyramid, placement, lens))
+        return self._judged(pyramid, found)
 
     def _judged(self, pyramid: Pyramid, found: Alignment) -> Look:
         """In the whole frame. What got much flatter or wider than it was learned is not believed."""
         placement = found.placement
-        placement[Y] += pyramid.first_row
-        aspect = placement[WIDTH] / placement[HEIGHT] * self._learned_at[HEIGHT] / self._learned_at[WIDTH]
+        if pyramid.first_row:
+            placement[Y] += pyramid.first_row
+        _, _, width, height, _ = placement.tolist()
+        aspect = width / height / self._learned_aspect
         low, high = self._settings.aspects
         confidence = found.confidence if low <= aspect <= high else 0.0
         return Look(placement, confidence, found.share, alike=found.alike, tells_angle=not self._is_place)
@@ -165,4 +173,6 @@ def _better(one: Look, other: Look) -> Look:
 
 def _in_band(pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A copy of the placement, and the lens, counted from the pyramid's first row."""
+    if not pyramid.first_row:
+        return placement.copy(), lens
     return placement - (0, pyramid.first_row, 0, 0, 0), lens - (0, 0, 0, pyramid.first_row)

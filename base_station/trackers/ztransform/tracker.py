@@ -242,9 +242,11 @@ class ZTransformTracker:
         assert learned is not None
         if learned.is_place:
             return self._is_kept(look)
+        if self._is_proven or look.confidence < settings.firm:
+            return look.confidence >= settings.firm
         aspect = look.placement[WIDTH] / look.placement[HEIGHT] * learned.placement[HEIGHT] / learned.placement[WIDTH]
         low, high = settings.firm_aspects
-        return look.confidence >= settings.firm and (self._is_proven or low <= aspect <= high)
+        return bool(low <= aspect <= high)
 
     def _is_agreed(self, pyramid: Pyramid, look: Look) -> bool:
         """The loose follower sees the target there too: the two err differently."""
@@ -312,15 +314,16 @@ class ZTransformTracker:
             self._motion.start(p, frame.time_s)
             self._usual_confidence = look.confidence
         self._is_tracking, self._frames_lost = True, 0
-        x, y = to_pixel(float(p[X]), float(p[Y]), lens)
-        x0, y0 = to_pixel(float(learned.placement[X]), float(learned.placement[Y]), lens)
+        (x, y, _, height, _), (x0, y0, _, height0, _) = p.tolist(), learned.placement.tolist()
+        if learned.is_place:
+            (x, y), (x0, y0) = to_pixel(x, y, lens), to_pixel(x0, y0, lens)
         return TrackerResult(
             state=TrackingState.TRACKING,
             shift_px=x - x0,
             shift_y_px=y - y0,
             bearing_rad=frame.camera.bearing_rad(x),
             elevation_rad=frame.camera.elevation_rad(y),
-            zoom=float(p[HEIGHT] / learned.placement[HEIGHT]),
+            zoom=height / height0,
             view_angle_rad=view_angle_rad(p, learned.placement, lens) if look.tells_angle else None,
             confidence=min(max(look.confidence, 0.0), 1.0),
             box=outline(p, lens),

@@ -9,7 +9,7 @@ from base_station.evaluation.conditions import TARGET, Disturbance, disturbed_vi
 from base_station.evaluation.tracker_benchmark import Sitting
 from base_station.evaluation.worlds import generated_world
 from base_station.geometry import PinholeCamera
-from base_station.trackers.ztransform import alignment_kernels, reference
+from base_station.trackers.ztransform import alignment_kernels, kernels, reference
 from base_station.trackers.ztransform.alignment import Aligner, AlignmentSettings
 from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
 from base_station.trackers.ztransform.outline import lens_of
@@ -31,7 +31,8 @@ def worlds():
 @pytest.fixture(scope="module")
 def aligner(worlds):
     aligner = Aligner(AlignmentSettings(), SignatureReader(SignatureSettings()))
-    aligner.learn(Pyramid(reference_view(worlds[0])), PLACEMENT, LENS)
+    aligner.seen = Pyramid(reference_view(worlds[0]))
+    aligner.learn(aligner.seen, PLACEMENT, LENS)
     return aligner
 
 
@@ -119,6 +120,42 @@ def test_it_settles_where_the_target_is(worlds, aligner, disturbance, px):
     assert found.placement[3] / there[3] == pytest.approx(1, abs=1e-3)
     assert found.confidence > 0.93
     assert (found.share, found.alike > 0.97) == (1, True)
+
+
+def plainly_settled(aligner, pyramid, placement):
+    """`Aligner.settle`, step by step in plain numpy; of a target that lies in the frame, confidence too."""
+    settings, reader, fine = aligner._settings, aligner._reader, aligner._fine
+    placement, confidence = placement.copy(), None
+    for turn in range(settings.steps + 1):
+        patch, seen, share = reader.means(pyramid, placement, LENS, reader.cells)
+        if turn == settings.steps:
+            break
+        cut, shown = (reference.blocks_of(p, settings.blocks) for p in (patch.astype(float), seen))
+        step = reference.robust_step(cut, shown.all(1), fine.learned, fine.changes, aligner._prior)
+        kernels.move(placement, step, settings.largest_step)
+        if np.hypot(step[0] * placement[2], step[1] * placement[3]) < settings.repeat_px:
+            break
+    if share == 1:
+        learned = reader.means(aligner.seen, PLACEMENT, LENS, reader.cells)[0]
+        confidence = reference.resemblance(patch, learned, settings.blocks, settings.judged_part, 0.0)
+        pixels = placement[2] * placement[3] / reader.cells**2
+        if confidence < settings.noisy_below and pixels >= settings.fewest_pixels:
+            noise = reference.pixel_noise(pyramid.image, placement) / np.sqrt(pixels)
+            confidence = reference.resemblance(patch, learned, settings.blocks, settings.judged_part, noise)
+    return placement, confidence, share
+
+
+@pytest.mark.parametrize("dx", [0, 3.7, -150.3, -230.6, 250.2])
+@pytest.mark.parametrize("noise", [0, 12, 40])
+def test_settling_in_one_call_is_settling_step_by_step(worlds, aligner, dx, noise):
+    view = disturbed_view(worlds[0], Disturbance(dx=dx, noise=noise), np.random.default_rng(3))
+    start = PLACEMENT + np.array([dx + 1.4, -1.3, 0.9, 0.5, 0.004])
+    placement, confidence, share = plainly_settled(aligner, Pyramid(view), start)
+    found = aligner.settle(Pyramid(view), start, LENS)
+    np.testing.assert_allclose(found.placement, placement, rtol=1e-5, atol=1e-4)
+    assert found.share == share
+    if confidence is not None:
+        assert found.confidence == pytest.approx(confidence, abs=1e-3)
 
 
 def test_a_covered_quarter_is_left_out(worlds, aligner):
