@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from robot_agent.sim.courses import ROOM_HALF_SIZE_M, ClosedCourse
@@ -109,7 +108,7 @@ def _round_the_room(half_m: float) -> ClosedCourse:
 
 def mirrored(picture: np.ndarray) -> np.ndarray:
     """Left and right exchanged."""
-    return cv2.flip(picture, 1)
+    return np.ascontiguousarray(picture[:, ::-1])
 
 
 def exchanged(picture: np.ndarray) -> np.ndarray:
