@@ -106,7 +106,13 @@ def test_the_newest_key_counts_and_another_key_stops_at_once():
 def test_every_behaviour_of_the_registry_can_be_made_and_stands_before_anything_is_learned():
     for name in BEHAVIOURS:
         made = make_behaviour(
-            name, BehaviourContext(drive=DRIVE, keys=queue.SimpleQueue(), camera=PinholeCamera.with_fov(640, 480))
+            name,
+            BehaviourContext(
+                drive=DRIVE,
+                keys=queue.SimpleQueue(),
+                camera=PinholeCamera.with_fov(640, 480),
+                course=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),
+            ),
         )
         assert made.command(None, 0.0) == (Command(100, 100) if name == "pattern" else STOP)
 
