@@ -43,11 +43,6 @@ class FollowSettings:
     pan_gain: float = 0.8
     """Share of the bearing in a frame that the pan makes up for at once. 1 would centre the target with the next frame
     if the servo's angle were known exactly; below 2, wrongly scaled servos still converge."""
-    turn_per_gap: float = 0.8
-    """Share of a bearing that the body may turn until the next frame comes: where frames come slowly (gaps of more than
-    a tenth of a second) the turn gain gives way, or the robot would turn past the target unseen."""
-    gap_decay: float = 0.9
-    """How fast a long gap between frames is forgotten, per frame."""
     longest_gap_s: float = 0.2
     """Frames further apart than this integrate as if they were this far apart."""
 
@@ -62,12 +57,10 @@ class Follow:
         self._turn = _Integrator(self._settings.integrate_within)
         self._forward = _Integrator(self._settings.integrate_within)
         self._last_s: float | None = None
-        self._gap_s = 0.0
 
     def command(self, result: TrackerResult | None, time_s: float) -> Command:
         """See Behaviour.command."""
         step_s = 0.0 if self._last_s is None else max(0.0, min(time_s - self._last_s, self._settings.longest_gap_s))
-        self._gap_s = max(step_s, self._gap_s * self._settings.gap_decay)
         self._last_s = time_s
         if result is None or result.state is not TrackingState.TRACKING or result.bearing_rad is None:
             if self._gaze is not None and result is not None:
@@ -75,8 +68,7 @@ class Follow:
             return STOP
         settings = self._settings
         body_bearing_rad = result.bearing_rad if self._gaze is None else self._gaze.centre(result.bearing_rad)
-        gain_per_s = min(settings.turn_gain_per_s, settings.turn_per_gap / max(self._gap_s, 1e-3))
-        turn_rad_s = gain_per_s * self._turn.add(
+        turn_rad_s = settings.turn_gain_per_s * self._turn.add(
             body_bearing_rad,
             settings.turn_integral_per_s,
             step_s,

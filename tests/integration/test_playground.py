@@ -18,7 +18,7 @@ from tests.playground import agent_with_playground, needs_playground
 
 STARTED = {"Xvfb", "dbus-daemon", "asebaplayground", "asebamedulla"}
 
-pytestmark = needs_playground
+pytestmark = [needs_playground, pytest.mark.alone]
 
 
 @pytest.fixture

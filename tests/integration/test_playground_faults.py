@@ -24,7 +24,7 @@ from robot_agent.sim.scenarios import FOLLOW_DISTANCE_M
 from tests.helpers import ROOT, Program, Programs, RawStation, TelemetryLog, driving, wait_until
 from tests.playground import agent_with_playground, awaits_client, needs_playground
 
-pytestmark = needs_playground
+pytestmark = [needs_playground, pytest.mark.alone]
 WIDTH, HEIGHT = 160, 120
 FULL_SPEED = 125
 """Wire units; with --speed-scale 4 the Thymio's limit of 500 motor units."""

@@ -16,6 +16,8 @@ import pytest
 from protocol import Request, encode
 from tests.helpers import Operator, Program, Programs, RawStation, TelemetryLog, connect, driving, standing, wait_until
 
+pytestmark = pytest.mark.alone
+
 Listen = Callable[[], TelemetryLog]
 SIM_BYTES = REPLAY_BYTES = 160 * 120
 

@@ -24,7 +24,7 @@ def plain(text: str) -> str:
         (["--tracker", "ztransfrom"], ["ztransfrom", "did you mean ztransform", "z-shift, z-regions, phase"]),
         (["--tracker", "no/such/file.py:Tracker"], ["no/such/file.py", "there is no file"]),
         (["--tracker", "base_station/trackers/example.py:Lamp"], ["no class 'Lamp'", "TorchTracker"]),
-        (["--behaviour", "folow"], ["folow", "follow, goto, idle, pattern, teleop"]),
+        (["--behaviour", "folow"], ["folow", "follow, goto, idle, route, pattern, teleop"]),
         (["--target", "1,2,3"], ["--target 1,2,3", "x,y,width,height"]),
         (["--target", "10,10,0,5"], ["--target 10,10,0,5", "x,y,width,height"]),
         (["--duration", "0"], ["--duration must be positive"]),

@@ -85,17 +85,6 @@ def test_what_it_does_not_see_it_does_not_drive_by(result):
     assert follow.command(result, PERIOD_S) == STOP
 
 
-def test_slow_frames_turn_it_gently_and_quick_ones_again_in_full():
-    """A turn lasts until the next frame: it must not go past the target by then."""
-    follow = Follow(DRIVE, FollowSettings(turn_integral_per_s=0.0))
-    usual = follow.command(seen(0.05, 1.0), 0.0)
-    slow = follow.command(seen(0.05, 1.0), 0.2)
-    assert usual.right - usual.left > 1.7 * (slow.right - slow.left) > 0
-    for frame in range(1, 30):
-        again = follow.command(seen(0.05, 1.0), 0.2 + frame * PERIOD_S)
-    assert again.right - again.left == usual.right - usual.left
-
-
 def test_after_a_loss_it_goes_on_without_a_jump():
     """Ten seconds without the target count as the longest gap, not as ten seconds of error."""
     commands = []
