@@ -74,6 +74,16 @@ def match_projections(
 
 
 @njit(cache=True, nogil=True)
+def _claim(i, k, distance, matches, owner, owner_distance):
+    """Keypoint k becomes i's, unless its owner resembles it as much; an owner that loses it goes without."""
+    if distance < owner_distance[k]:
+        if owner[k] >= 0:
+            matches[owner[k]] = -1
+        owner[k], owner_distance[k] = i, distance
+        matches[i] = k
+
+
+@njit(cache=True, nogil=True)
 def _match_projections(
     uv, radius, octaves, descriptors, xy, octave, looks, taken, start, order, left, top, columns, rows, most, ratio
 ):
@@ -110,11 +120,7 @@ def _match_projections(
                     second, second_level = distance, level
         if best > most or (best_level == second_level and best > ratio * second):
             continue
-        if best < owner_distance[best_k]:
-            if owner[best_k] >= 0:
-                matches[owner[best_k]] = -1
-            owner[best_k], owner_distance[best_k] = i, best
-            matches[i] = best_k
+        _claim(i, best_k, best, matches, owner, owner_distance)
     return matches
 
 
@@ -149,11 +155,7 @@ def _match_everywhere(descriptors, looks, most, ratio):
                 second = distance
         if best > most or best > ratio * second:
             continue
-        if best < owner_distance[best_k]:
-            if owner[best_k] >= 0:
-                matches[owner[best_k]] = -1
-            owner[best_k], owner_distance[best_k] = i, best
-            matches[i] = best_k
+        _claim(i, best_k, best, matches, owner, owner_distance)
     return matches
 
 
@@ -235,9 +237,5 @@ def _match_epipolar(
                 second = distance
         if best > most or best > ratio * second:
             continue
-        if best < owner_distance[best_k]:
-            if owner[best_k] >= 0:
-                matches[owner[best_k]] = -1
-            owner[best_k], owner_distance[best_k] = i, best
-            matches[i] = best_k
+        _claim(i, best_k, best, matches, owner, owner_distance)
     return matches
