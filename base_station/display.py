@@ -27,7 +27,7 @@ class StatusLine:
 
     def __init__(self, console: Console, link: Link, tracker: str, behaviour: str, hint: str = "") -> None:
         self._console, self._link = console, link
-        self._names = f"{short_name(tracker)} · {behaviour}"
+        self._names = _names(tracker, behaviour)
         self._hint = hint
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._walls_s: deque[float] = deque(maxlen=60)
@@ -48,6 +48,7 @@ class StatusLine:
     def step(self, step: Step) -> None:
         """A frame was dealt with."""
         self._walls_s.append(time.monotonic())
+        self._names = _names(step.tracker, step.behaviour)
         self._result, self._shadow, self._pan_rad = step.result, step.shadow, step.pan_rad
         self._draw()
 
@@ -88,6 +89,10 @@ class StatusLine:
         if len(self._walls_s) < 2:
             return 0.0
         return (len(self._walls_s) - 1) / max(self._walls_s[-1] - self._walls_s[0], 1e-6)
+
+
+def _names(tracker: str, behaviour: str) -> str:
+    return f"{short_name(tracker)} · {behaviour}"
 
 
 def short_name(tracker: str) -> str:

@@ -1,7 +1,8 @@
 """The station's loop: newest frame in, tracker, behaviour, command out.
 
 For each frame that the loop takes exactly one command goes back, as the thesis's peers expect. The second tracker
-(`shadow`) sees the same frames after the command has left, so it costs the robot nothing.
+(the shadow) sees the same frames after the command has left, so it costs the robot nothing. What the operator orders
+meanwhile takes effect at the beginning of a frame.
 """
 
 from __future__ import annotations
@@ -10,25 +11,24 @@ import logging
 import queue
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome
+from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome, Steered
 from base_station.behaviours.registry import BehaviourContext, make_behaviour
 from base_station.behaviours.route import Route
 from base_station.errors import StationError
-from base_station.geometry import FlatPose, PinholeCamera
+from base_station.geometry import FlatPose
 from base_station.head import Angles, PanHead
 from base_station.link import Link
-from base_station.rows import Rows, united
-from base_station.scale import Scale
+from base_station.orders import Order
 from base_station.sockets import LinkLost
-from base_station.trackers.base import Tracker, WantsRows
+from base_station.trackers.base import Tracker
 from base_station.types import Box, Frame, TrackerResult, TrackingState
+from base_station.watcher import Kit, Watcher
 from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
 log = logging.getLogger(__name__)
-
-ScaleMaker = Callable[[Box | None, PinholeCamera], Scale | None]
 
 WAIT_S = 0.1
 SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
@@ -58,6 +58,14 @@ class Step:
     """What the tracker took for this frame (learning not included)."""
     frame_to_command_s: float | None
     """Last byte of the frame received to command handed to the socket; None when the command could not be sent."""
+    tracker: str
+    """Name of the one that steers."""
+    shadow_tracker: str | None
+    behaviour: str
+    orders: tuple[Order, ...]
+    """Those that took effect with this frame, in this order."""
+    notices: tuple[str, ...]
+    """What could not be done as it was ordered, for a person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,39 +84,49 @@ class StationSettings:
     """End when the behaviour's journey is over (see `behaviours.base.Journey`)."""
     rows: bool = False
     """Ask the robot for the rows only that the trackers want."""
-    scale: ScaleMaker | None = None
-    """From the box that is learned (None: the whole view) and the camera to the scale; results then carry metres."""
 
 
 class Station:
-    """Runs one robot. `on_step` is called after each frame's command has gone out, `on_wait` while no frame comes."""
+    """Runs one robot. `on_step` is called after each frame's command has gone out, `on_wait` while no frame comes.
+
+    `make` gives the tracker of a name that is ordered while the station runs (ValueError when it cannot), `remember`
+    keeps what a frame shows as a landmark (the same); neither is asked for in the loop's thread. Owns its trackers.
+    """
 
     def __init__(
         self,
         link: Link,
-        tracker: Tracker,
+        kit: Kit,
         settings: StationSettings | None = None,
         *,
-        shadow: Tracker | None = None,
+        shadow: Kit | None = None,
         keys: queue.SimpleQueue[str] | None = None,
+        make: Callable[[str], Kit] | None = None,
+        remember: Callable[[str, Frame, Box | None], None] | None = None,
         on_step: Callable[[Step], None] = lambda step: None,
         on_wait: Callable[[], None] = lambda: None,
     ) -> None:
-        self._link, self._tracker, self._shadow = link, tracker, shadow
+        self._link = link
         self.settings = settings or StationSettings()
+        self._workshop = ThreadPoolExecutor(max_workers=1, thread_name_prefix="workshop")
+        """Makes and closes trackers beside the loop: one that maps takes seconds for either."""
+        self._watcher = Watcher(kit, shadow=shadow, target_rows=self.settings.target_rows, retire=self._retire)
         self._keys = keys or queue.SimpleQueue()
+        self._make, self._remember = make, remember
         self._on_step, self._on_wait = on_step, on_wait
+        self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
+        self._works: list[tuple[Order, Future[Kit | None]]] = []
+        self._behaviour_name = self.settings.behaviour
         self._behaviour: Behaviour | None = None
         self._head: PanHead | None = None
         self._driven: FlatPose | None = None
         """Where the robot is in the present frame, by its wheels."""
         self._connection = ""
         self._stopping = False
-        self._target = self.settings.target
-        self._learn_asked = True
-        self._learned = False
-        self._learn_error = ""
-        self._scale: Scale | None = None
+        self._first_order: Order | None = Order.learn(self.settings.target)
+        """To learn what the settings say, or the simulated operator; not given yet."""
+        self._complaint = ""
+        self._notices: list[str] = []
         self._outcome: Outcome | None = None
         self._first_s: float | None = None
         self._frames = 0
@@ -123,25 +141,39 @@ class Station:
         """Driven to their end; None when the behaviour drives none."""
         return self._behaviour.laps if isinstance(self._behaviour, Route) else None
 
+    @property
+    def tracker(self) -> Tracker:
+        """The one that steers now."""
+        return self._watcher.tracker
+
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
         self._stopping = True
 
     def learn_now(self) -> None:
         """Learn the target anew in the next frame."""
-        self._learn_asked = True
+        self.post(Order.learn(self._watcher.target))
 
-    def emergency(self, action: str) -> None:
-        """ "stop" or "release" the robot's emergency stop. Says so when the robot has no control port."""
+    def post(self, order: Order) -> None:
+        """Carry this out at the beginning of the next frame. From any thread. `stop` and `release` are only noted here:
+        `emergency` tells the robot."""
+        self._orders.put(order)
+
+    def emergency(self, action: str) -> str:
+        """ "stop" or "release" the robot's emergency stop, now; from any thread. Returns what went wrong, in words."""
+        self.post(Order(kind=action))
         try:
             reply = self._link.ask(Request(action=action, text="by the operator"))
         except (LinkLost, ProtocolError) as error:
-            log.error("the robot did not confirm the emergency %s: %s", action, error)
-            return
-        if reply is None:
-            log.warning("this robot has no control port: no emergency %s, commands only", action)
-        elif not reply.ok:
-            log.error("the robot refused the emergency %s: %s", action, reply.error)
+            said = f"the robot did not confirm the emergency {action}: {error}"
+        else:
+            if reply is None:
+                said = f"this robot has no control port: no emergency {action}, commands only"
+            else:
+                said = "" if reply.ok else f"the robot refused the emergency {action}: {reply.error}"
+        if said:
+            log.error("%s", said)
+        return said
 
     def run(self) -> None:
         """Until `stop`, the duration, or the end of a recording. Sends a stop at the end. Raises StationError."""
@@ -160,69 +192,173 @@ class Station:
             self._link.send(STOP)
             self._let_go_of_head()
 
+    def close(self) -> None:
+        """Close the trackers, also those still in the making. After `run`."""
+        for _, work in self._works:
+            if not work.cancel() and work.exception() is None and (kit := work.result()) is not None:
+                self._retire(kit.tracker)
+        self._watcher.close()
+        self._workshop.shutdown()
+
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
         self._on_wait()
-        self._forget_keys()
+        self._forget_driving()
         duration_s = self.settings.duration_s
         if duration_s is not None and without_frames_s > max(duration_s, PATIENCE_S):
             raise StationError(f"No frame for {without_frames_s:.0f} s ({self._link.state}): the run ends here.")
 
-    def _forget_keys(self) -> None:
+    def _forget_driving(self) -> None:
         """A key pressed while the robot was away must not move it when it is back."""
         while not self._keys.empty():
             self._keys.get_nowait()
+        for order in self._taken():
+            if order.kind != "drive":
+                self.post(order)
+
+    def _taken(self) -> list[Order]:
+        """The orders that came until now."""
+        return [self._orders.get_nowait() for _ in range(self._orders.qsize())]
 
     def _step(self, frame: Frame, arrival_s: float) -> Step:
         self._count(frame)
-        behaviour = self._behaviour_for(frame)
-        learned = self._learn(self._tracker, frame)
-        begun_s = time.perf_counter()
-        result = self._look(self._tracker, frame)
-        tracker_s = time.perf_counter() - begun_s
+        self._notices = []
+        self._renew_behaviour(frame)
+        orders = [order for order in self._due(frame) if self._carry_out(order, frame)] + self._made()
+        seen = self._watcher.look(frame)
+        self._complain()
         angles = self._link.camera_angles(frame)
-        command = self._command(behaviour, result, frame, angles)
+        command = self._command(seen.result, frame, angles)
         if self.settings.rows:  # before the command: in lockstep the next frame may come at once
-            self._link.want_rows(self._wanted_rows(), frame.connection)
+            self._link.want_rows(self._watcher.wanted_rows(), frame.connection)
         sent_s = self._link.send(command, frame.connection)
-        self._link.show(self._sight(result), frame.connection)
-        self._note_outcome(behaviour)
+        self._link.show(self._sight(seen.result), frame.connection)
+        self._note_outcome()
         return Step(
             frame=frame,
-            result=result,
-            shadow=self._follow_in_shadow(frame, learned),
+            result=seen.result,
+            shadow=self._watcher.look_in_shadow(frame, seen),
             command=command,
             pan_rad=angles[0] if angles is not None else None,
-            learned=learned,
-            tracker_s=tracker_s,
+            learned=seen.learned,
+            tracker_s=seen.tracker_s,
             frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
+            tracker=self._watcher.name,
+            shadow_tracker=self._watcher.shadow_name,
+            behaviour=self._behaviour_name,
+            orders=tuple(orders),
+            notices=tuple(self._notices),
         )
 
-    def _wanted_rows(self) -> Rows | None:
-        """What serves all trackers; to learn, the whole frame is needed."""
-        if self._learn_asked or not self._learned:
-            return None
-        trackers = [self._tracker] + ([self._shadow] if self._shadow is not None else [])
-        return united([_rows_of(tracker) for tracker in trackers])
+    # -- orders ----------------------------------------------------------------------------------------------------
 
-    def _command(self, behaviour: Behaviour, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
+    def _due(self, frame: Frame) -> list[Order]:
+        """What is to be carried out with this frame."""
+        first = self._learn_at_first(frame)
+        return ([first] if first is not None else []) + self._taken()
+
+    def _learn_at_first(self, frame: Frame) -> Order | None:
+        """Once: to learn the user's box, else what the simulated operator says and when, else the whole view."""
+        event = next((event for event in self._link.events if event.kind == "learn"), None)
+        order = self._first_order
+        if order is not None and self.settings.target is None and event is not None:
+            if frame.number < event.frame:
+                return None
+            order = Order(kind="learn", box=event.box)
+        self._first_order = None
+        return order
+
+    def _carry_out(self, order: Order, frame: Frame) -> bool:
+        """Whether it takes effect with this frame. What cannot be done is said, and changes nothing."""
+        if order.kind == "learn":
+            self._first_order = None  # whatever was to be learned at first, the operator wants this
+            self._watcher.choose(order.target)
+        elif order.kind in ("tracker", "shadow"):
+            return self._exchange(order)
+        elif order.kind == "behaviour":
+            return self._change_behaviour(order.name, frame)
+        elif order.kind == "drive" and isinstance(self._behaviour, Steered):
+            self._behaviour.steer(order.forward, order.left, frame.time_s)
+        elif order.kind == "remember":
+            self._work(order, lambda: self._keep(order.name, frame, order.target))
+        return True
+
+    def _exchange(self, order: Order) -> bool:
+        """Let the tracker be made; the order takes effect when it is there (`_made`)."""
+        if order.kind == "shadow" and not order.name:
+            self._watcher.exchange_shadow(None)
+            return True
+        if self._make is None:
+            self._notice("this station cannot change its trackers")
+            return False
+        make = self._make
+        self._work(order, lambda: make(order.name))
+        return False
+
+    def _work(self, order: Order, task: Callable[[], Kit | None]) -> None:
+        self._works.append((order, self._workshop.submit(task)))
+
+    def _made(self) -> list[Order]:
+        """The trackers that are ready now go to work; returns what they were ordered by."""
+        ready = [(order, work) for order, work in self._works if work.done()]
+        self._works = [(order, work) for order, work in self._works if not work.done()]
+        return [order for order, work in ready if self._take_up(order, work)]
+
+    def _take_up(self, order: Order, work: Future[Kit | None]) -> bool:
+        try:
+            kit = work.result()
+        except Exception as error:  # a tracker of the user's own may fail in any way
+            self._notice(f"cannot {order.kind} {order.name}: {error}")
+            return False
+        if kit is None:
+            self._notice(f"{order.name} is remembered")
+            return False
+        if order.kind == "tracker":
+            self._watcher.exchange(kit)
+        else:
+            self._watcher.exchange_shadow(kit)
+        return True
+
+    def _keep(self, name: str, frame: Frame, target: Box | None) -> None:
+        if self._remember is None:
+            raise ValueError("this station keeps no landmarks")
+        self._remember(name, frame, target)
+
+    def _retire(self, tracker: Tracker) -> None:
+        self._workshop.submit(_close, tracker)
+
+    def _notice(self, text: str) -> None:
+        self._notices.append(text)
+        log.warning("%s", text)
+
+    def _complain(self) -> None:
+        """Say once why a target cannot be learned."""
+        complaint = self._watcher.complaint
+        if complaint and complaint != self._complaint:
+            self._notice(f"cannot learn this target: {complaint}")
+        self._complaint = complaint
+
+    # -- driving ---------------------------------------------------------------------------------------------------
+
+    def _command(self, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
+        assert self._behaviour is not None
         if self._head is not None and angles is not None:
             self._head.pan_rad = angles[0]
         self._driven = self._link.driven(frame)
-        command = behaviour.command(result if self._learned else None, frame.time_s)
+        command = self._behaviour.command(result if self._watcher.learned else None, frame.time_s)
         if self._head is not None and self._link.hello is not None and self._link.hello.rhythm == "lockstep":
             self._head.settle(LOCKSTEP_LOOK_S)
         return command
 
     def _sight(self, result: TrackerResult) -> str:
         """What the robot's lights are to tell; a station that does not drive by what it sees is idle."""
-        if self.settings.behaviour not in ("follow", "goto"):
+        if self._behaviour_name not in ("follow", "goto"):
             return "idle"
         return SIGHT_OF.get(result.state, "idle")
 
-    def _note_outcome(self, behaviour: Behaviour) -> None:
+    def _note_outcome(self) -> None:
         """Say once how a journey ended, and end the run with it when that was asked for."""
-        outcome = behaviour.outcome if isinstance(behaviour, Journey) else None
+        outcome = self._behaviour.outcome if isinstance(self._behaviour, Journey) else None
         if outcome is not None and outcome != self._outcome:
             log.info("%s", outcome.text)
         self._outcome = outcome
@@ -237,28 +373,40 @@ class Station:
         if over or self._frames == self.settings.max_frames:
             self._stopping = True
 
-    def _behaviour_for(self, frame: Frame) -> Behaviour:
+    def _renew_behaviour(self, frame: Frame) -> None:
         """A new one for each connection: the robot may have other limits now, and the past says nothing."""
-        if self._behaviour is None or frame.connection != self._connection:
-            self._connection = frame.connection
-            limits = self._link.hello.limits if self._link.hello is not None else RobotLimits()
-            self._let_go_of_head()
-            if self.settings.pan:
-                self._head = self._take_head()
-            scenario = self._link.hello.scenario if self._link.hello is not None else None
-            context = BehaviourContext(
-                drive=Drive(limits),
-                keys=self._keys,
-                camera=frame.camera,
-                head=self._head,
-                course=scenario.course if scenario is not None else (),
-                where=lambda: self._driven,
-            )
-            try:
-                self._behaviour = make_behaviour(self.settings.behaviour, context)
-            except ValueError as error:
-                raise StationError(f"--behaviour {self.settings.behaviour}: {error}.", usage=True) from error
-        return self._behaviour
+        if self._behaviour is not None and frame.connection == self._connection:
+            return
+        self._connection = frame.connection
+        self._let_go_of_head()
+        if self.settings.pan:
+            self._head = self._take_head()
+        try:
+            self._behaviour = self._new_behaviour(self._behaviour_name, frame)
+        except ValueError as error:
+            raise StationError(f"--behaviour {self._behaviour_name}: {error}.", usage=True) from error
+
+    def _change_behaviour(self, name: str, frame: Frame) -> bool:
+        try:
+            self._behaviour = self._new_behaviour(name, frame)
+        except ValueError as error:
+            self._notice(f"cannot go on with {name}: {error}")
+            return False
+        self._behaviour_name = name
+        return True
+
+    def _new_behaviour(self, name: str, frame: Frame) -> Behaviour:
+        """Raises ValueError when this robot or scene does not allow it."""
+        hello = self._link.hello
+        context = BehaviourContext(
+            drive=Drive(hello.limits if hello is not None else RobotLimits()),
+            keys=self._keys,
+            camera=frame.camera,
+            head=self._head,
+            course=hello.scenario.course if hello is not None and hello.scenario is not None else (),
+            where=lambda: self._driven,
+        )
+        return make_behaviour(name, context)
 
     def _take_head(self) -> PanHead:
         hello = self._link.hello
@@ -271,64 +419,9 @@ class Station:
             self._head.close()
             self._head = None
 
-    def _learn(self, tracker: Tracker, frame: Frame) -> bool:
-        """Learn when it is asked for; a view that cannot be learned (a camera that is still dark) is tried again."""
-        if not self._learn_asked or not frame.is_whole or not self._choose_target(frame):
-            return False
-        try:
-            tracker.learn(frame, self._target)
-        except ValueError as error:
-            if str(error) != self._learn_error:
-                log.warning("cannot learn this target: %s", error)
-            self._learn_error = str(error)
-            return False
-        self._learn_asked, self._learned, self._learn_error = False, True, ""
-        if self.settings.scale is not None:
-            self._scale = self.settings.scale(self._target, frame.camera)
-        return True
 
-    def _choose_target(self, frame: Frame) -> bool:
-        """Fix the box to learn: the user's, else the simulated operator's, else the whole view. False: not yet."""
-        event = next((event for event in self._link.events if event.kind == "learn"), None)
-        if self.settings.target is None and not self._learned and event is not None:
-            if frame.number < event.frame:
-                return False
-            self._target = Box(*event.box) if event.box is not None else None
-        if self._target is not None and self.settings.target_rows is not None:
-            self._target = self._target.with_rows(self.settings.target_rows)
-        return True
-
-    def _look(self, tracker: Tracker, frame: Frame) -> TrackerResult:
-        if self._learn_error and not self._learned:
-            return TrackerResult(state=TrackingState.INITIALIZING, reason=self._learn_error)
-        result = _checked(tracker, tracker.update(frame))
-        return self._scale.measured(result) if self._scale is not None else result
-
-    def _follow_in_shadow(self, frame: Frame, learned: bool) -> TrackerResult | None:
-        if self._shadow is None:
-            return None
-        if learned:
-            try:
-                self._shadow.learn(frame, self._target)
-            except ValueError as error:
-                return TrackerResult(state=TrackingState.INITIALIZING, reason=str(error))
-        return _checked(self._shadow, self._shadow.update(frame))
-
-
-def _rows_of(tracker: Tracker) -> Rows | None:
-    """The rows that this tracker wants."""
-    rows: object = tracker.wanted_rows() if isinstance(tracker, WantsRows) else None
-    if rows is None:
-        return None
-    if not isinstance(rows, tuple) or len(rows) != 2 or not all(isinstance(row, int) for row in rows):
-        kind = type(tracker).__name__
-        raise StationError(f"Stopped the robot: {kind}.wanted_rows returned {rows!r:.60}, not two whole rows or None.")
-    return rows
-
-
-def _checked(tracker: Tracker, result: object) -> TrackerResult:
-    """A tracker of the user's own may return anything."""
-    if not isinstance(result, TrackerResult):
-        kind = type(tracker).__name__
-        raise StationError(f"Stopped the robot: {kind}.update returned {type(result).__name__}, not a TrackerResult.")
-    return result
+def _close(tracker: Tracker) -> None:
+    try:
+        tracker.close()
+    except Exception as error:  # a user's own tracker may fail here too
+        log.warning("the tracker did not close cleanly: %s: %s", type(error).__name__, error)

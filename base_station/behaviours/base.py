@@ -30,6 +30,16 @@ class Head(Protocol):
         ...
 
 
+@runtime_checkable
+class Steered(Behaviour, Protocol):
+    """A behaviour that a person steers."""
+
+    def steer(self, forward: float, left: float, time_s: float) -> None:
+        """Go so fast (-1..1 of what it allows) from the frame of `time_s` on, for a moment: whoever steers says it
+        again and again, and when nothing is said the robot stands."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """How a journey ended."""

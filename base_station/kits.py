@@ -1,0 +1,55 @@
+"""Trackers by name, with what belongs to them: the registry's, a user's own, and landmarks from the memory's file."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from base_station.landmarks_command import scale_of, unknown_text
+from base_station.orders import LANDMARK
+from base_station.scale import Scale
+from base_station.trackers.registry import make_tracker
+from base_station.watcher import Kit
+
+if TYPE_CHECKING:
+    from base_station.trackers.ztransform.landmark import Landmark
+
+
+@dataclass(frozen=True, kw_only=True)
+class KitMaker:
+    """Call it with a name that `make_tracker` knows, or with `landmark:NAME`. Raises ValueError, StationError.
+
+    `target_width_m`, `learned_distance_m`: what is known of what trackers learn; their results then carry metres.
+    """
+
+    memory: Path
+    """The file of landmarks."""
+    target_width_m: float | None = None
+    learned_distance_m: float | None = None
+
+    def __call__(self, name: str) -> Kit:
+        if name.startswith(LANDMARK):
+            return _landmark_kit(name, _landmark(name.removeprefix(LANDMARK), self.memory))
+        if self.target_width_m is None and self.learned_distance_m is None:
+            return Kit(name=name, tracker=make_tracker(name))
+        scale = functools.partial(scale_of, width_m=self.target_width_m, distance_m=self.learned_distance_m)
+        return Kit(name=name, tracker=make_tracker(name), scale=scale)
+
+
+def _landmark(name: str, memory: Path) -> Landmark:
+    from base_station.trackers.ztransform.landmark_file import read_landmarks
+
+    known = {landmark.name: landmark for landmark in read_landmarks(memory)}
+    if name not in known:
+        raise ValueError(unknown_text(name, memory, list(known)))
+    return known[name]
+
+
+def _landmark_kit(name: str, landmark: Landmark) -> Kit:
+    from base_station.trackers.ztransform.recall import RecallTracker
+
+    depth_m = landmark.learned_depth_m
+    scale = None if depth_m is None else lambda box, camera: Scale(learned_depth_m=depth_m)
+    return Kit(name=name, tracker=RecallTracker(landmark), scale=scale, knows_target=True)

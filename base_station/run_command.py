@@ -1,0 +1,312 @@
+"""base-station run: connect to a robot, watch its pictures with a tracker and drive it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import logging
+import math
+import queue
+import signal
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+from rich.console import Console
+from rich.logging import RichHandler
+from threadpoolctl import threadpool_limits
+from tyro.conf import arg
+
+from base_station.behaviours.base import Outcome
+from base_station.behaviours.registry import check_behaviour
+from base_station.display import StatusLine, summary_table
+from base_station.errors import StationError
+from base_station.evaluation.closed_loop import LoopLog, Summary
+from base_station.evaluation.picture import RunPicture
+from base_station.geometry import PinholeCamera
+from base_station.kits import KitMaker
+from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
+from base_station.link import Link, LinkSettings
+from base_station.orders import LANDMARK
+from base_station.results import ResultsFile
+from base_station.station import Station, StationSettings, Step
+from base_station.terminal import pressed_keys
+from base_station.trackers.base import Surveyor
+from base_station.trackers.registry import DEFAULT_TRACKER
+from base_station.types import Box
+from base_station.watcher import Kit
+from protocol import FRAME_PORT
+
+ANY_CAMERA = PinholeCamera.with_fov(640, 480)
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Run:
+    """Connect to a robot, watch its pictures with a tracker and drive it."""
+
+    tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
+    """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
+    behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
+    """follow, goto (back to where the target was learned), route (laps along a simulated scenario's waypoints), idle,
+    pattern (listing A.2's drive) or teleop (w a s d or arrow keys)."""
+    pan: bool = False
+    """follow: turn the camera on its pan-tilt after the target, and the body after the camera."""
+    target: str | None = None
+    """Box x,y,width,height in px, learned in the first frame. Default: what the simulation says, else the whole
+    view."""
+    landmark: str | None = None
+    """Follow this landmark, or with behaviour goto return to it, instead of learning something now."""
+    memory: Path = DEFAULT_MEMORY
+    """The file that holds the landmark (see base-station landmarks)."""
+    until_there: bool = False
+    """With behaviour goto or route: end when it is there, or has given up (exit code 1)."""
+    target_width_m: float | None = None
+    """How wide the target is; results then carry its distance."""
+    learned_distance_m: float | None = None
+    """How far away the target was when it was learned; the same."""
+    shadow: str | None = None
+    """A second tracker on the same frames; the first one steers."""
+    rows: bool = False
+    """Fewer bytes: let the robot send the rows only that the tracker wants (all, for a tracker that cannot say)."""
+    target_rows: int | None = None
+    """Of the target's box learn no more than so many rows, those in the middle: with --rows even fewer bytes."""
+    host: str = "127.0.0.1"
+    """The robot's name or address."""
+    port: int = FRAME_PORT
+    """The first of the robot's four ports."""
+    width: int = 640
+    """Picture width of a peer that says no hello."""
+    height: int = 480
+    """Picture height of a peer that says no hello."""
+    signed_peer: bool = False
+    """A peer without hello understands negative speeds; else they are cut to 0..127 for it."""
+    duration: float | None = None
+    """End after this many seconds of the frames' time."""
+    max_frames: int | None = None
+    """End after this many frames."""
+    results: Path | None = None
+    """Write a CSV row per frame to this file."""
+    summary: Path | None = None
+    """Write the run's summary to this JSON file."""
+    picture: Path | None = None
+    """Write a picture of the run (last view, path, errors) to this PNG file."""
+    status: bool = True
+    """Show the live status line."""
+
+
+def _check(run: Run) -> None:
+    """Find mistakes of usage before anything is opened."""
+    try:
+        check_behaviour(run.behaviour)
+    except ValueError as error:
+        raise StationError(str(error), usage=True) from error
+    if run.pan and run.behaviour != "follow":
+        raise StationError(f"--pan goes with --behaviour follow, not with {run.behaviour}.", usage=True)
+    for name, value in (
+        ("--duration", run.duration),
+        ("--max-frames", run.max_frames),
+        ("--target-rows", run.target_rows),
+    ):
+        if value is not None and not 0 < value < math.inf:
+            raise StationError(f"{name} must be positive, not {value}.", usage=True)
+    scale_of(Box(0, 0, 1, 1), ANY_CAMERA, width_m=run.target_width_m, distance_m=run.learned_distance_m)
+    if run.landmark is not None:
+        for name, given in (
+            ("--target", run.target),
+            ("--target-width-m", run.target_width_m),
+            ("--learned-distance-m", run.learned_distance_m),
+            ("--tracker", None if run.tracker == DEFAULT_TRACKER else run.tracker),
+        ):
+            if given is not None:
+                raise StationError(f"A landmark knows its own: leave out {name}.", usage=True)
+    for name, side in (("--width", run.width), ("--height", run.height)):
+        if not 1 <= side <= 8192:
+            raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
+    if not 1 <= run.port <= 65532:
+        raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
+    for name, path in (("--summary", run.summary), ("--picture", run.picture)):
+        if path is not None and not path.parent.is_dir():
+            raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
+        if path is not None and path.is_dir():
+            raise StationError(f"{name}: {path} is a folder; name a file.", usage=True)
+
+
+def run(run: Run, console: Console) -> None:
+    """Raises StationError."""
+    _check(run)
+    for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
+        signal.signal(number, _end_at_once)
+    handler = RichHandler(console=console, show_path=False)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
+    log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow, from_memory=run.landmark is not None)
+    with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
+        watching: list[Callable[[Step], None]] = [log.note_step]
+        waiting: list[Callable[[], None]] = []
+        if run.results is not None:
+            results = ResultsFile(run.results)
+            stack.callback(results.close)
+            watching.append(results.write)
+        picture = RunPicture() if run.picture is not None else None
+        if picture is not None:
+            watching.append(picture.note_step)
+        link = Link(_link_settings(run), on_telemetry=log.note_telemetry)
+        driving: queue.SimpleQueue[str] = queue.SimpleQueue()
+        station = _station(run, link, driving, watching, waiting)
+        stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
+        stack.callback(station.close)
+        keys = stack.enter_context(pressed_keys())
+        if keys is not None:
+            obey = functools.partial(_obey_keys, keys, station, driving)
+            watching.append(lambda step: obey())
+            waiting.append(obey)
+        elif run.behaviour == "teleop":
+            raise StationError("teleop needs a terminal to read the keys from.", usage=True)
+        if run.status:
+            line = stack.enter_context(_status_line(run, console, link, keys is not None))
+            watching.append(line.step)
+            waiting.append(line.wait)
+        _end_on_signals(station)
+        _drive(station)
+        log.wait_for_truth()
+        log.laps = station.laps
+        log.note_survey(station.tracker.survey() if isinstance(station.tracker, Surveyor) else None)
+    _conclude(run, console, link, log, picture, station.outcome)
+
+
+def _link_settings(run: Run) -> LinkSettings:
+    return LinkSettings(
+        host=run.host,
+        port=run.port,
+        width=run.width,
+        height=run.height,
+        signed_peer=run.signed_peer,
+        rows=run.rows,
+    )
+
+
+def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:
+    hint = "space: emergency stop  r: release  l: learn  q: quit" if has_keys else ""
+    if run.behaviour == "teleop":
+        hint = f"drive: w a s d or arrows  {hint}"
+    return StatusLine(console, link, run.tracker, run.behaviour, hint)
+
+
+def _station(
+    run: Run,
+    link: Link,
+    driving: queue.SimpleQueue[str],
+    watching: list[Callable[[Step], None]],
+    waiting: list[Callable[[], None]],
+) -> Station:
+    """With trackers of its own; tells those who are `watching` of each step, and those who are `waiting` that no frame
+    comes. Raises StationError."""
+
+    def on_step(step: Step) -> None:
+        for observer in watching:
+            observer(step)
+
+    def on_wait() -> None:
+        for observer in waiting:
+            observer()
+
+    settings = StationSettings(
+        behaviour=run.behaviour,
+        pan=run.pan,
+        target=parse_box(run.target) if run.target is not None else None,
+        duration_s=run.duration,
+        max_frames=run.max_frames,
+        until_there=run.until_there,
+        rows=run.rows,
+        target_rows=run.target_rows,
+    )
+    make = KitMaker(memory=run.memory, target_width_m=run.target_width_m, learned_distance_m=run.learned_distance_m)
+    with ExitStack() as making:
+        kit = _kit(make, run.tracker if run.landmark is None else LANDMARK + run.landmark)
+        making.callback(kit.tracker.close)
+        shadow = _kit(make, run.shadow) if run.shadow is not None else None
+        station = Station(link, kit, settings, shadow=shadow, keys=driving, make=make, on_step=on_step, on_wait=on_wait)
+        making.pop_all()  # they are the station's now
+    return station
+
+
+def _obey_keys(keys: queue.SimpleQueue[str], station: Station, driving: queue.SimpleQueue[str]) -> None:
+    actions = {
+        " ": lambda: station.emergency("stop"),
+        "r": lambda: station.emergency("release"),
+        "l": station.learn_now,
+        "q": station.stop,
+    }
+    while not keys.empty():
+        key = keys.get_nowait()
+        if key in actions:
+            actions[key]()
+        else:
+            driving.put(key)
+
+
+def _kit(make: KitMaker, name: str) -> Kit:
+    try:
+        return make(name)
+    except ValueError as error:
+        raise StationError(str(error), usage=True) from error
+
+
+def _end_at_once(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _end_on_signals(station: Station) -> None:
+    def end(_number: int, _frame: FrameType | None) -> None:
+        station.stop()
+
+    for number in END_SIGNALS:
+        signal.signal(number, end)
+
+
+def _drive(station: Station) -> None:
+    try:
+        station.run()
+    except StationError:
+        raise
+    except Exception as error:
+        # A tracker of the user's own may fail in any way: the station has sent a stop; say where it failed.
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise StationError(
+            f"Stopped the robot: {type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})."
+        ) from error
+
+
+def _conclude(
+    run: Run, console: Console, link: Link, log: LoopLog, picture: RunPicture | None, outcome: Outcome | None
+) -> None:
+    hello = link.hello
+    scenario = hello.scenario if hello is not None else None
+    summary: Summary = log.summary(
+        scenario=scenario.name if scenario is not None else None,
+        seed=scenario.seed if scenario is not None else None,
+        rhythm=hello.rhythm if hello is not None else None,
+    )
+    if run.summary is not None:
+        _write(run.summary, (json.dumps(summary.as_dict(), indent=2) + "\n").encode())
+    if run.picture is not None and picture is not None:
+        _write(run.picture, picture.png(log.truths(), summary))
+    console.print(summary_table(summary))
+    if summary.frames == 0:
+        raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
+    if run.target is not None and not log.learned:
+        raise StationError(f"The target {run.target} was never learned: it must lie in the picture and have texture.")
+    if run.until_there and (outcome is None or not outcome.there):
+        raise StationError(f"Not there: {outcome.text if outcome is not None else 'the run ended on the way'}.")
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise StationError(f"{path} cannot be written ({error.strerror}).") from error
