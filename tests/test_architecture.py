@@ -173,6 +173,10 @@ class Holds:
         ),
         (("base_station/link.py", "base_station/sockets.py"), ("base_station.trackers", "base_station.behaviours")),
         (("base_station/station.py",), ("base_station.cli", "base_station.display", "base_station.evaluation")),
+        (
+            ("base_station/watcher.py", "base_station/orders.py"),
+            tuple(f"base_station.{name}" for name in ("behaviours", "station", "link", "sockets", "display", "cli")),
+        ),
         (("robot_agent/safety.py",), ("robot_agent", "protocol", "threading", "time", "socket")),
         (
             tuple(f"robot_agent/{name}" for name in ("cameras", "robots", "pantilt", "sim", "playground")),
