@@ -60,11 +60,11 @@ class Step:
     """Last byte of the frame received to command handed to the socket; None when the command could not be sent."""
     tracker: str
     """Name of the one that steers."""
-    shadow_tracker: str | None
     behaviour: str
-    orders: tuple[Order, ...]
+    shadow_tracker: str | None = None
+    orders: tuple[Order, ...] = ()
     """Those that took effect with this frame, in this order."""
-    notices: tuple[str, ...]
+    notices: tuple[str, ...] = ()
     """What could not be done as it was ordered, for a person."""
 
 

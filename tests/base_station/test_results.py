@@ -38,7 +38,15 @@ def step(number: int, result: TrackerResult, command: Command) -> Step:
         image=np.zeros((6, 8), np.uint8), number=number, time_s=number / 30, camera=PinholeCamera.with_fov(8, 6)
     )
     return Step(
-        frame=frame, result=result, shadow=None, command=command, learned=False, tracker_s=0, frame_to_command_s=None
+        frame=frame,
+        result=result,
+        shadow=None,
+        command=command,
+        learned=False,
+        tracker_s=0,
+        frame_to_command_s=None,
+        tracker="ztransform",
+        behaviour="follow",
     )
 
 

@@ -41,6 +41,8 @@ def step(number: int, time_s: float, result: TrackerResult, *, learned: bool = F
         frame=Frame(image=IMAGE, number=number, time_s=time_s, camera=CAMERA, connection=STATION),
         result=result,
         shadow=None,
+        tracker="ztransform",
+        behaviour="follow",
         command=STOP,
         pan_rad=costs.get("pan_rad"),
         learned=learned,

@@ -34,6 +34,8 @@ def step(number: int, result: TrackerResult, size: tuple[int, int] = (640, 480))
         frame=Frame(image=image, number=number, time_s=number / 30, camera=PinholeCamera.with_fov(width, height)),
         result=result,
         shadow=None,
+        tracker="ztransform",
+        behaviour="follow",
         command=STOP,
         learned=False,
         tracker_s=0.0,
