@@ -29,6 +29,8 @@ from base_station.evaluation.conditions import CONDITIONS
 from base_station.evaluation.costs import Costs, measure_costs
 from base_station.evaluation.goals import Goal, goals_of, lookup_goal
 from base_station.evaluation.landmark_benchmark import measure_lookup_ms
+from base_station.evaluation.peer_trackers import make_any
+from base_station.evaluation.peers import PEERS
 from base_station.evaluation.tool import run_tool
 from base_station.evaluation.tracker_benchmark import (
     BenchmarkScores,
@@ -37,7 +39,7 @@ from base_station.evaluation.tracker_benchmark import (
     run_benchmark,
 )
 from base_station.evaluation.worlds import World, generated_world, photographed_worlds
-from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker, tracker_names
+from base_station.trackers.registry import DEFAULT_TRACKER, tracker_names
 
 PROG = "benchmark-trackers"
 MOST_FRAMES = 10_000
@@ -54,6 +56,8 @@ class Benchmark:
 
     trackers: str = ",".join(tracker_names())
     """Which, apart by commas; also path/to/file.py:ClassName."""
+    peers: bool = False
+    """OpenCV's MOSSE, KCF and CSRT as well (an environment of their own is made for them, once)."""
     conditions: str = ",".join(CONDITIONS)
     """Which, apart by commas."""
     images: Path | None = None
@@ -115,9 +119,10 @@ def _run(command: Benchmark, arguments: Sequence[str]) -> None:
 def _checked(command: Benchmark) -> BenchmarkSettings:
     """Find mistakes of usage before anything is measured."""
     trackers, conditions = _listed(command.trackers, "--trackers"), _listed(command.conditions, "--conditions")
+    trackers += PEERS if command.peers else ()
     for name in trackers:
         try:
-            make_tracker(name).close()
+            make_any(name).close()
         except ValueError as error:
             raise StationError(str(error), usage=True) from error
     for name in conditions:

@@ -18,7 +18,7 @@ from base_station.evaluation.tracker_benchmark import BenchmarkScores, Condition
 
 PLAIN_WIDTH = 140
 """Of tables that go into a file: there is no terminal's to keep to."""
-PACKAGES = ("numpy", "opencv-python-headless", "numba")
+PACKAGES = ("numpy", "opencv-python-headless", "opencv-contrib-python-headless", "numba")
 
 
 def machine() -> dict[str, Any]:
@@ -36,6 +36,11 @@ def machine_line() -> str:
     it = machine()
     packages = ", ".join(f"{name} {number}" for name, number in it["packages"].items())
     return f"{it['cores']} cores, {it['architecture']}, Python {it['python']}, {packages}; one thread"
+
+
+def _bytes(count: int) -> str:
+    """Of a tracker whose memory is not Python's nothing is known."""
+    return str(count) if count else "-"
 
 
 def _version(package: str) -> str | None:
@@ -103,8 +108,8 @@ def target_table(scores: BenchmarkScores) -> Table:
         at_99 = "LOST" if score.threshold_at_99 is None else f"{score.threshold_at_99:.2f}"
         table.add_row(
             name.rpartition("/")[2],
-            f"{score.bytes_per_landmark}",
-            f"{score.running_bytes}",
+            _bytes(score.bytes_per_landmark),
+            _bytes(score.running_bytes),
             f"{score.visible_tracked_share:.1%}",
             f"{score.false_tracking_rate:.1%}",
             *(f"{score.false_by_kind[kind]:.0%}" for kind in kinds),

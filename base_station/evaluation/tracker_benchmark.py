@@ -23,9 +23,9 @@ from base_station.evaluation.conditions import (
     reference_view,
 )
 from base_station.evaluation.footprint import array_bytes, landmark_bytes
+from base_station.evaluation.peer_trackers import make_any
 from base_station.evaluation.worlds import World
 from base_station.trackers.base import Tracker
-from base_station.trackers.registry import make_tracker
 from base_station.types import Frame, TrackerResult, TrackingState
 
 WITHIN_PX = 1.5
@@ -113,7 +113,7 @@ class Sitting:
     def __init__(self, name: str, reference: np.ndarray, *, is_place: bool = False) -> None:
         self._reference, self._target = reference, None if is_place else TARGET
         self._time_s, self._number = 0.0, 0
-        self._tracker: Tracker = make_tracker(name)
+        self._tracker: Tracker = make_any(name)
         self.kept_bytes = landmark_bytes(self._tracker, self._learn)
         """None when the tracker refuses to learn this: it is LOST in all of this world then."""
         for _ in range(WARM_UPS if self.kept_bytes is not None else 0):

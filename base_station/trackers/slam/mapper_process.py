@@ -151,12 +151,11 @@ class MapperProcess:
         if self._closed:
             return
         if self.alive():
-            with contextlib.suppress(ValueError, OSError):
-                self._work.put(None)
+            self._process.terminate()  # what it is at concerns a map that nobody wants any more
             self._process.join(END_WITHIN_S)
             if self._process.is_alive():
-                self._process.terminate()
-                self._process.join(END_WITHIN_S)
+                self._process.kill()
+                self._process.join()
         self._closed = True
         for channel in (self._work, self._updates):
             channel.close()
@@ -164,6 +163,7 @@ class MapperProcess:
 
 
 def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, parent: int) -> None:
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
     threadpool_limits(1)  # for systems of some hundred unknowns a pool of threads only spins, on the tracker's core
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -171,11 +171,7 @@ def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, pa
     mapper = Mapper(camera, settings)
     updates.put(READY)
     while True:
-        piece = work.get()
-        if piece is None:
-            break
-        updates.put(do(mapper, piece, lambda: not work.empty()))
-    updates.cancel_join_thread()
+        updates.put(do(mapper, work.get(), lambda: not work.empty()))
 
 
 def _end_with(parent: int) -> None:
