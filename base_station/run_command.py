@@ -23,6 +23,7 @@ from tyro.conf import arg
 
 from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
+from base_station.configuration import as_toml
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
@@ -49,6 +50,10 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class Run:
     """Connect to a robot, watch its pictures with a tracker and drive it."""
 
+    config: Path | None = None
+    """A TOML file with these settings (tracker = "slam"); flags override what it says."""
+    print_config: bool = False
+    """Print the settings as such a file, and end."""
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
     """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
@@ -139,6 +144,9 @@ def _check(run: Run) -> None:
 def run(run: Run, console: Console) -> None:
     """Raises StationError."""
     _check(run)
+    if run.print_config:
+        print(as_toml(run, "run"), end="")
+        return
     for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
         signal.signal(number, _end_at_once)
     handler = RichHandler(console=console, show_path=False)
