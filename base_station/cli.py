@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from base_station.calibration.command import Calibrate, calibrate_camera, spelt_out
 from base_station.configuration import config_file, read_settings
 from base_station.discovery import find_robots
 from base_station.errors import StationError
@@ -50,11 +51,17 @@ class Robots:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
     try:
         defaults = _run_defaults(arguments)
         command = tyro.cli(
-            Annotated[Run, tyro.conf.subcommand(default=defaults)] | Landmarks | Score | Evaluate | Trackers | Robots,
+            Annotated[Run, tyro.conf.subcommand(default=defaults)]
+            | Landmarks
+            | Calibrate
+            | Score
+            | Evaluate
+            | Trackers
+            | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -72,6 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _score(command)
         if isinstance(command, Landmarks):
             landmarks(command)
+            return EXIT_DONE
+        if isinstance(command, Calibrate):
+            calibrate_camera(command, console)
             return EXIT_DONE
         if isinstance(command, Robots):
             return _robots(command)

@@ -23,6 +23,7 @@ from tyro.conf import arg
 
 from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
+from base_station.calibration.camera_file import read_camera
 from base_station.configuration import as_toml
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
@@ -88,6 +89,8 @@ class Run:
     """Picture width of a peer that says no hello."""
     height: int = 480
     """Picture height of a peer that says no hello."""
+    camera: Path | None = None
+    """The camera's calibration, as base-station calibrate wrote it. Default: what the robot says of its camera."""
     signed_peer: bool = False
     """A peer without hello understands negative speeds; else they are cut to 0..127 for it."""
     duration: float | None = None
@@ -195,6 +198,7 @@ def _link_settings(run: Run) -> LinkSettings:
         height=run.height,
         signed_peer=run.signed_peer,
         rows=run.rows,
+        camera=read_camera(run.camera) if run.camera is not None else None,
     )
 
 
