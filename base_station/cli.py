@@ -7,10 +7,13 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 
+from base_station.calibration.command import Calibrate, calibrate_camera, spelt_out
+from base_station.configuration import config_file, read_settings
 from base_station.discovery import find_robots
 from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
@@ -47,9 +50,18 @@ class Robots:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
+    console = Console(stderr=True)
+    arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
     try:
+        defaults = _run_defaults(arguments)
         command = tyro.cli(
-            Run | Landmarks | Score | Evaluate | Trackers | Robots,
+            Annotated[Run, tyro.conf.subcommand(default=defaults)]
+            | Landmarks
+            | Calibrate
+            | Score
+            | Evaluate
+            | Trackers
+            | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -57,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     except SystemExit as end:  # tyro's own way out: after --help, or after having said what was wrong
         return EXIT_USAGE if end.code else EXIT_DONE
-    console = Console(stderr=True)
+    except StationError as error:
+        return _failed(error, console)
     try:
         if isinstance(command, Run):
             run(command, console)
@@ -66,6 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _score(command)
         if isinstance(command, Landmarks):
             landmarks(command)
+            return EXIT_DONE
+        if isinstance(command, Calibrate):
+            calibrate_camera(command, console)
             return EXIT_DONE
         if isinstance(command, Robots):
             return _robots(command)
@@ -77,8 +93,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_DONE
     except StationError as error:
-        console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        return EXIT_USAGE if error.usage else EXIT_FAILED
+        return _failed(error, console)
+
+
+def _run_defaults(arguments: Sequence[str]) -> Run:
+    """What holds where no flag says otherwise: the file's settings that --config names. Raises StationError."""
+    path = config_file(arguments[1:]) if arguments and arguments[0] == "run" else None
+    return read_settings(path, Run, "run") if path is not None else Run()
+
+
+def _failed(error: StationError, console: Console) -> int:
+    console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+    return EXIT_USAGE if error.usage else EXIT_FAILED
 
 
 def _score(command: Score) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 import zmq
 
 from base_station.announcer import Announcer
+from base_station.calibration.camera_file import camera_of
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
 from base_station.geometry import FlatPose, PinholeCamera
@@ -36,6 +37,7 @@ from protocol import (
     ScenarioEvent,
     Telemetry,
 )
+from protocol.camera_file import CameraFile
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +60,8 @@ class LinkSettings:
     """In lockstep, how long a frame waits for its telemetry."""
     rows: bool = False
     """Ask the robot for bands of rows (`Link.want_rows`), if it knows them."""
+    camera: CameraFile | None = None
+    """The robot's camera as it was calibrated; None: as the robot says, or a usual field of view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +308,7 @@ class Link:
         return _Session(
             raw,
             hello.format,
-            _camera_of(hello),
+            self._camera(hello.format, hello),
             MIN_UNIT,
             RowSwitch(self.control_line(), hello.format, raw.address) if self.settings.rows and knows_rows else None,
             asks_first=stepped,
@@ -322,8 +326,17 @@ class Link:
         log.warning("%s", assumptions(self.settings))
         if self.settings.rows:
             log.warning(NO_ROWS, "a peer with the raw ports only knows no bands of rows")
-        camera = PinholeCamera.with_fov(self.settings.width, self.settings.height)
+        camera = self._camera(assumed)
         return _Session(raw, assumed, camera, MIN_UNIT if self.settings.signed_peer else 0)
+
+    def _camera(self, frames: FrameFormat, hello: Hello | None = None) -> PinholeCamera:
+        """What took these frames. Raises StationError when the calibration is another camera's."""
+        if self.settings.camera is not None:
+            try:
+                return camera_of(self.settings.camera, frames)
+            except ProtocolError as error:
+                raise StationError(f"--camera: {error}.", usage=True) from error
+        return _camera_of(hello) if hello is not None else PinholeCamera.with_fov(frames.width, frames.height)
 
     def _ask_hello(self) -> Hello | None:
         deadline_s = time.monotonic() + BUSY_PATIENCE_S
@@ -386,4 +399,12 @@ def _camera_of(hello: Hello) -> PinholeCamera:
         return PinholeCamera.with_fov(
             hello.width, hello.height, first_row=hello.first_row, full_height=hello.full_height
         )
-    return PinholeCamera(width=hello.width, height=hello.height, fx=known.fx, fy=known.fy, cx=known.cx, cy=known.cy)
+    return PinholeCamera(
+        width=hello.width,
+        height=hello.height,
+        fx=known.fx,
+        fy=known.fy,
+        cx=known.cx,
+        cy=known.cy,
+        distortion=known.distortion if len(known.distortion) in (4, 5) else (),
+    )

@@ -23,6 +23,8 @@ from tyro.conf import arg
 
 from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
+from base_station.calibration.camera_file import read_camera
+from base_station.configuration import as_toml
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
@@ -49,6 +51,10 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class Run:
     """Connect to a robot, watch its pictures with a tracker and drive it."""
 
+    config: Path | None = None
+    """A TOML file with these settings (tracker = "slam"); flags override what it says."""
+    print_config: bool = False
+    """Print the settings as such a file, and end."""
     tracker: Annotated[str, arg(aliases=["-t"])] = DEFAULT_TRACKER
     """A name that `base-station trackers` lists, or one of your own: path/to/file.py:ClassName."""
     behaviour: Annotated[str, arg(aliases=["-b"])] = "follow"
@@ -83,6 +89,8 @@ class Run:
     """Picture width of a peer that says no hello."""
     height: int = 480
     """Picture height of a peer that says no hello."""
+    camera: Path | None = None
+    """The camera's calibration, as base-station calibrate wrote it. Default: what the robot says of its camera."""
     signed_peer: bool = False
     """A peer without hello understands negative speeds; else they are cut to 0..127 for it."""
     duration: float | None = None
@@ -139,6 +147,9 @@ def _check(run: Run) -> None:
 def run(run: Run, console: Console) -> None:
     """Raises StationError."""
     _check(run)
+    if run.print_config:
+        print(as_toml(run, "run"), end="")
+        return
     for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
         signal.signal(number, _end_at_once)
     handler = RichHandler(console=console, show_path=False)
@@ -187,6 +198,7 @@ def _link_settings(run: Run) -> LinkSettings:
         height=run.height,
         signed_peer=run.signed_peer,
         rows=run.rows,
+        camera=read_camera(run.camera) if run.camera is not None else None,
     )
 
 

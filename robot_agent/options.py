@@ -110,6 +110,7 @@ def agent_parser(*, add_help: bool = True) -> argparse.ArgumentParser:
     add("--robot", choices=ROBOTS, default="sim", help="what drives (default: %(default)s)")
     add("--camera", choices=CAMERAS, help="where pictures come from (default: a simulated robot's own, else usb)")
     add("--source", metavar="WHAT", help="camera number or device; for replay a video file or a folder of pictures")
+    add("--camera-file", metavar="FILE", help="the camera's calibration, as base-station calibrate wrote it")
     add("--size", type=_size, metavar="WxH", help="size of the picture (default: 640x480; a replay's own)")
     add("--fps", type=positive, help="pictures per second (default: 30; a replay's own times)")
     add("--rows", type=_rows, metavar="A:B", help="send only rows A to B-1: the same wire with fewer bytes")
@@ -159,6 +160,7 @@ def rig_options(options: argparse.Namespace) -> RigOptions:
         robot=options.robot,
         camera=options.camera or (options.robot if options.robot in OWN_CAMERA else "usb"),
         source=options.source,
+        camera_file=options.camera_file,
         size=options.size,
         fps=options.fps,
         bus=options.bus,

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from protocol import Scenario
+from protocol import ProtocolError, Scenario
+from robot_agent.camera_file import read_calibration
 from robot_agent.cameras.base import Camera
 from robot_agent.errors import UsageError
 from robot_agent.pantilt.base import PanTilt
@@ -33,6 +34,8 @@ class RigOptions:
     camera: str
     source: str | None = None
     """Camera device, or the recording to replay."""
+    camera_file: str | None = None
+    """The camera's calibration."""
     size: tuple[int, int] | None = None
     """Width and height of the picture in px; None: 640x480, or the recording's own."""
     fps: float | None = None
@@ -90,6 +93,8 @@ def check_together(options: RigOptions) -> None:
             f"--source {options.source}: --robot {options.robot} has a camera of its own; to stream a recording use "
             "--robot none --camera replay."
         )
+    if options.robot in OWN_CAMERA and options.camera_file is not None:
+        raise UsageError(f"--camera-file {options.camera_file}: the simulated camera of {options.robot} is known.")
     if options.robot == "playground" and options.pan_tilt != "none":
         raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
     if options.pan_tilt == ("servoblaster" if options.robot == "sim" else "sim"):
@@ -141,7 +146,20 @@ def _trim(options: RigOptions) -> float:
 
 
 def open_camera(options: RigOptions) -> Camera:
-    """The camera alone, of those that are no part of a robot. Raises AgentError when it is not to be had."""
+    """The camera alone, of those that are no part of a robot, with its calibration where there is one. Raises
+    AgentError when it is not to be had."""
+    calibration = read_calibration(options.camera_file) if options.camera_file is not None else None
+    camera = _plain_camera(options)
+    if calibration is not None:
+        try:
+            camera.intrinsics = calibration.scaled(camera.width, camera.height)
+        except ProtocolError as error:
+            camera.close()
+            raise UsageError(f"--camera-file {options.camera_file}: {error}.") from error
+    return camera
+
+
+def _plain_camera(options: RigOptions) -> Camera:
     width, height = options.size or (640, 480)
     fps = options.fps or 30.0
     if options.camera == "usb":

@@ -19,6 +19,7 @@ import numpy as np
 
 from robot_agent.errors import AgentError
 from robot_agent.sim import thymio
+from robot_agent.sim.calibration_board import Held
 from robot_agent.sim.model import OBSTACLE_TYPE, OWN_GROUP, SENSED_GROUP, SimModel
 from robot_agent.sim.poses import Pose
 from robot_agent.sim.projection import PictureView
@@ -110,6 +111,11 @@ class Engine:
             body = int(self._model.body_mocapid[self._id("BODY", f"board{number}")])
             self._data.mocap_pos[body] = pose.x_m, pose.y_m, 0.0
             self._data.mocap_quat[body] = _turn(pose.heading_rad)
+
+    def hold_board(self, held: Held) -> None:
+        """Hold the calibration board there."""
+        body = int(self._model.body_mocapid[self._id("BODY", "calibration")])
+        self._data.mocap_pos[body], self._data.mocap_quat[body] = held.position_m, held.quaternion
 
     @property
     def is_touching(self) -> bool:

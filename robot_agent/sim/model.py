@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from protocol import Intrinsics
-from robot_agent.sim import scenarios, textures, thymio
+from robot_agent.sim import calibration_board, scenarios, textures, thymio
 from robot_agent.sim.clutter import exchanged, mirrored
 from robot_agent.sim.courses import ROOM_HALF_SIZE_M
 from robot_agent.sim.furnishing import Block
@@ -71,7 +71,7 @@ def build_model(
 <default class="obstacle"><geom contype="{OBSTACLE_TYPE}"/></default>
 <default class="own"><geom group="{OWN_GROUP}" mass="0"/></default></default>
 <asset>{assets}{_shades()}{_meshes()}</asset>
-<worldbody>{_room(stage)}{_leader(stage)}{_boards(stage)}
+<worldbody>{_room(stage)}{_leader(stage)}{_boards(stage)}{_calibration_board(stage)}
 {_robot(stage.robot_start, _camera(fovy_deg, pan_tilt))}</worldbody>
 <actuator>{_motors()}{_servos() if pan_tilt else ""}</actuator>
 </mujoco>"""
@@ -93,6 +93,8 @@ def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.nd
     if stage.clutter is not None:
         images |= {"mirrored": mirrored(images["picture"]), "exchanged": exchanged(images["picture"])}
         images["board"] = textures.texture(rng, *_PICTURE_PX, textures.BOARD)
+    if stage.board is not None:
+        images["calibration"] = calibration_board.sheet()
     return images
 
 
@@ -196,6 +198,17 @@ def _boards(stage: scenarios.Stage) -> str:
         face = _slab(across, board.height_m / 2, (board.width_m, board.height_m), board.image)
         parts.append(f'<body name="board{number}" mocap="true" {_standing(board.pose(0.0))}>{face}</body>')
     return "".join(parts)
+
+
+def _calibration_board(stage: scenarios.Stage) -> str:
+    """A slab whose printed face is the body's xy plane, seen from +z."""
+    if stage.board is None:
+        return ""
+    width, height = calibration_board.SHEET_M
+    return (
+        '<body name="calibration" mocap="true" pos="1 0 0.5"><geom type="box"'
+        f' size="{width / 2} {height / 2} {_SLAB_HALF_M}" pos="0 0 {-_SLAB_HALF_M}" material="calibration"/></body>'
+    )
 
 
 def _leader(stage: scenarios.Stage) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from robot_agent.errors import AgentError
 from robot_agent.sim import courses
+from robot_agent.sim.calibration_board import Held, draw_showing
 from robot_agent.sim.clutter import Clutter, draw_clutter
 from robot_agent.sim.furnishing import Block, furnish
 from robot_agent.sim.poses import Pose
@@ -73,6 +74,8 @@ class Stage:
     """Waypoints (ahead, left) of a closed lap, in m from where the robot starts: for a robot that drives by itself."""
     clutter: Clutter | None = None
     """A busier room, things that move in it and pictures like the target; None without."""
+    board: Callable[[float], Held] | None = None
+    """How somebody holds a calibration board before the camera; None without."""
 
 
 def build_stage(name: str, seed: int) -> Stage:
@@ -196,6 +199,12 @@ def _loop(rng: np.random.Generator) -> Stage:
     )
 
 
+def _calibration(rng: np.random.Generator) -> Stage:
+    """A calibration board that somebody shows to the standing robot, again and again in other ways."""
+    start = Pose(x_m=0.0, y_m=0.0, heading_rad=0.0)
+    return Stage(robot_start=start, held=lambda time_s: start, board=draw_showing(rng).at)
+
+
 def _follower_start(course: courses.ClosedCourse) -> Pose:
     return course.at(0.0).moved(ahead_m=-LEADER_PICTURE_BEHIND_M - FOLLOW_DISTANCE_M)
 
@@ -214,8 +223,9 @@ SCENARIOS: dict[str, Callable[[np.random.Generator], Stage]] = {
     "plain": _plain,
     "turn": _turn,
     "loop": _loop,
+    "calibration": _calibration,
 }
 """poster: go back to a picture on the wall. arc: the same from aside. leader: follow a robot. lights: the same while
 the light changes. clutter, clutter-lights: both among pictures like the target and before a background that moves.
 plain: the same in a featureless room, until the leader escapes. turn: watch a place from a turntable, which in the end
-turns round. loop: drive laps through a furnished room."""
+turns round. loop: drive laps through a furnished room. calibration: see a ChArUco board in many poses."""

@@ -72,12 +72,15 @@ class Scene:
         """What hello says of it."""
 
     def move_background(self, time_s: float) -> None:
-        """Bring the things that move in the background to this scenario time; takes effect at the next `refresh`.
+        """Bring what moves in the background, and a calibration board, to this scenario time; takes effect at the next
+        `refresh`.
 
         They keep off the robot, so it is enough to do so when a picture is taken.
         """
         if self.stage.clutter is not None:
             self.engine.place_boards([board.pose(time_s) for board in self.stage.clutter.boards])
+        if self.stage.board is not None:
+            self.engine.hold_board(self.stage.board(time_s))
 
     def noisy(self, image: np.ndarray) -> np.ndarray:
         """The picture (uint8, height x width) with the camera's noise."""

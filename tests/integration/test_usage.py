@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from base_station.configuration import read_settings
+from base_station.run_command import Run
 from tests.helpers import Programs, write_pictures
 
 USAGE, FAILED = 2, 1
@@ -197,3 +199,21 @@ def test_help(programs: Programs) -> None:
     assert station.exit_code() == 0 and agent.exit_code() == 0
     assert "--behaviour" in station.stdout and "--tracker" in station.stdout
     assert "--rhythm" in agent.stdout and "--scenario" in agent.stdout
+
+
+def test_flags_override_the_file(programs: Programs, tmp_path: Path) -> None:
+    """The program itself: file, flags over it, and the result printed so that it can be read back."""
+    file = tmp_path / "robot.toml"
+    file.write_text('tracker = "phase"\nport = 4000\nrows = true\ntarget-width-m = 0.2\nresults = "out.csv"\n')
+    run = (sys.executable, "-m", "base_station", "run", "--config")
+    first = programs.start(*run, str(file), "--port", "5000", "--no-rows", "--print-config")
+    assert first.exit_code() == 0, first.stderr
+    second = tmp_path / "printed.toml"
+    second.write_text(first.stdout)
+    expected = Run(tracker="phase", port=5000, target_width_m=0.2, results=tmp_path / "out.csv")
+    assert read_settings(second, Run, "run") == expected
+
+    file.write_text("port = 4000\ntrakcer = 'phase'\n")
+    wrong = programs.start(*run, str(file))
+    assert wrong.exit_code() == 2
+    assert f"{file}, line 2: there is no setting 'trakcer'; did you mean 'tracker'?" in wrong.stderr

@@ -1,24 +1,19 @@
-"""Camera settings from files: ORB-SLAM's YAML (old keys and new), EuRoC's sensor.yaml, KITTI's calib.txt.
-
-Only "key: number", "key: text" and "key: [numbers]" are read, which is all that these files say about a camera.
-"""
+"""Camera settings from files: ORB-SLAM's YAML (old keys and new), EuRoC's sensor.yaml, KITTI's calib.txt."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from base_station.calibration.camera_file import camera_text, read_camera
 from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
+from protocol.camera_file import PINHOLES, file_entries
 
-MOST_BYTES = 1 << 20
-ENTRY = re.compile(r"""^[ \t]*([A-Za-z_][\w.]*)[ \t]*:[ \t]*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\n]*)""", re.MULTILINE)
-PINHOLES = ("pinhole", "rectified")
 DISTORTIONS = ("radial-tangential", "radtan", "plumb_bob", "none", "")
 
 FREIBURG = {
@@ -56,20 +51,10 @@ class CameraFile:
 
 
 def read_orbslam(path: Path) -> CameraFile:
-    """Settings of ORB-SLAM2 or 3: `Camera.fx` or `Camera1.fx` and so on. Raises StationError."""
-    entries = _entries(path)
-    kind = entries.get("Camera.type", "PinHole").lower()
-    if kind not in PINHOLES:
-        raise StationError(f"{path}: a camera of type {kind!r} is not supported, only pinholes are.")
-    prefix = "Camera1" if "Camera1.fx" in entries else "Camera"
-    fx, fy, cx, cy = (_number(entries, f"{prefix}.{key}", path) for key in ("fx", "fy", "cx", "cy"))
-    names = [f"{prefix}.{key}" for key in ("k1", "k2", "p1", "p2", "k3")]
-    given = [_number(entries, name, path) if name in entries else 0.0 for name in names]
-    distortion = tuple(given if given[4] else given[:4]) if any(given) else ()
-    size = None
-    if "Camera.width" in entries and "Camera.height" in entries:
-        size = (round(_number(entries, "Camera.width", path)), round(_number(entries, "Camera.height", path)))
-    return CameraFile((fx, fy, cx, cy), distortion, size, source=str(path))
+    """Settings of ORB-SLAM2 or 3, or what base-station calibrate wrote. Raises StationError."""
+    found = read_camera(path)
+    own = found.intrinsics
+    return CameraFile((own.fx, own.fy, own.cx, own.cy), own.distortion, found.size, source=str(path))
 
 
 def read_euroc_sensor(path: Path) -> CameraFile:
@@ -114,44 +99,19 @@ def freiburg_camera(name: str) -> CameraFile | None:
     return None
 
 
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise StationError(f"{path} is too large for a camera's settings.")
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise StationError(f"{path} cannot be read ({error.strerror}).") from error
-
-
 def _entries(path: Path) -> dict[str, str]:
-    """The first value of every key."""
-    found: dict[str, str] = {}
-    for key, value in ENTRY.findall(_text(path)):
-        found.setdefault(key, value.strip().strip("\"'"))
-    return found
+    return file_entries(camera_text(path))
 
 
 def _plain_rows(path: Path) -> dict[str, tuple[float, ...]]:
     rows = {}
-    for line in _text(path).splitlines():
+    for line in camera_text(path).splitlines():
         key, colon, rest = line.partition(":")
         try:
             rows[key.strip()] = tuple(float(word) for word in rest.split()) if colon else ()
         except ValueError:
             continue
     return rows
-
-
-def _number(entries: Mapping[str, str], key: str, path: Path) -> float:
-    if key not in entries:
-        raise StationError(f"{path} does not say {key}.")
-    try:
-        number = float(entries[key])
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise StationError(f"{path}: {key} is {entries[key][:40]!r}, not a number.")
-    return number
 
 
 def _numbers(entries: Mapping[str, str], key: str, path: Path, count: int | None = None) -> tuple[float, ...]:

@@ -60,9 +60,15 @@ class SlamCamera:
 
     @classmethod
     def of(cls, camera: PinholeCamera) -> SlamCamera:
-        """The same camera as the station's frames carry it; without distortion."""
+        """The same camera as the station's frames carry it."""
         return cls(
-            width_px=camera.width, height_px=camera.height, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy
+            width_px=camera.width,
+            height_px=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            distortion=camera.distortion,
         )
 
     @cached_property

@@ -1,0 +1,110 @@
+"""A calibration board in the simulation, and somebody who shows it to the camera: from pose to pose, still in each.
+
+The board is the one that `base-station calibrate board` prints unless told otherwise (ChArUco, 7 x 5 squares), smaller:
+the camera stands 10 cm above the floor, and the board has to reach the lower rim of its view. The poses visit nine
+parts of the picture, tilted to all sides, near and a little farther away.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from robot_agent.sim import thymio
+from robot_agent.sim.projection import HORIZONTAL_FOV_RAD
+
+COLUMNS, ROWS, SQUARE_M = 7, 5, 0.020
+MARKER_SHARE = 0.7
+RIM_M = 0.005
+"""White, around the squares."""
+SHEET_M = (COLUMNS * SQUARE_M + 2 * RIM_M, ROWS * SQUARE_M + 2 * RIM_M)
+HOLD_S, MOVE_S = 0.35, 0.25
+
+_PX_A_M = 8000
+_ROUNDS = 2
+"""Visits to each part of the picture; then it all begins anew."""
+_TILTS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""About the vertical and the horizontal."""
+_NEAR_M, _FAR_M = (0.165, 0.195), (0.24, 0.28)
+_SQUARE_ON = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Columns: the board's right, up and face (m), for a camera that looks along the world's x axis."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """Where the middle of the board's face is in the room, and how it is turned (w, x, y, z): the printed face is the
+    board's xy plane, x to its right and y up, and is seen from +z."""
+
+    position_m: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Showing:
+    """Poses one after another: `positions_m` (n, 3), `quaternions` (n, 4)."""
+
+    positions_m: np.ndarray
+    quaternions: np.ndarray
+
+    def at(self, time_s: float) -> Held:
+        """At a time of the scenario, which may be any."""
+        step, within_s = divmod(time_s, HOLD_S + MOVE_S)
+        here = int(step) % len(self.positions_m)
+        there = (here + 1) % len(self.positions_m)
+        share = max(0.0, within_s - HOLD_S) / MOVE_S
+        share = share * share * (3.0 - 2.0 * share)  # off and on gently
+        position = (1 - share) * self.positions_m[here] + share * self.positions_m[there]
+        first, second = self.quaternions[here], self.quaternions[there]
+        mixed = (1 - share) * first + share * (second if first @ second >= 0 else -second)
+        mixed = mixed / np.linalg.norm(mixed)
+        x, y, z = position.tolist()
+        qw, qx, qy, qz = mixed.tolist()
+        return Held((x, y, z), (qw, qx, qy, qz))
+
+
+def draw_showing(rng: np.random.Generator) -> Showing:
+    """Poses before a robot that stands in the room's origin and looks along the x axis."""
+    tangent = math.tan(HORIZONTAL_FOV_RAD / 2)
+    parts = [(across, down) for down in (-1, 0, 1) for across in (-1, 0, 1)]
+    positions, quaternions = [], []
+    for turn in range(_ROUNDS):
+        for number in rng.permutation(len(parts)).tolist():
+            across, down = parts[number]
+            far = turn > 0 and down <= 0
+            depth_m = float(rng.uniform(*(_FAR_M if far else _NEAR_M)))
+            reach = (0.62 if far else 0.5) * tangent * depth_m
+            left_m = -across * reach * float(rng.uniform(0.95, 1.05))
+            up_m = -down * 0.72 * reach * float(rng.uniform(0.95, 1.05))
+            positions.append((depth_m, left_m, thymio.CAMERA_HEIGHT_M + up_m))
+            turned, tipped = _TILTS[len(positions) % len(_TILTS)]
+            tilt_rad = float(rng.uniform(0.38, 0.55))
+            quaternions.append(_quaternion(turned * tilt_rad, tipped * tilt_rad, float(rng.uniform(-0.15, 0.15))))
+    return Showing(positions_m=np.array(positions), quaternions=np.array(quaternions))
+
+
+def sheet() -> np.ndarray:
+    """The printed sheet, uint8 (height, width): 14 black, 241 white, as all textures leave room for noise."""
+    square_px, rim_px = round(SQUARE_M * _PX_A_M), round(RIM_M * _PX_A_M)
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    board = cv2.aruco.CharucoBoard((COLUMNS, ROWS), SQUARE_M, SQUARE_M * MARKER_SHARE, markers)
+    drawn = board.generateImage((COLUMNS * square_px, ROWS * square_px), marginSize=0, borderBits=1)
+    whole = cv2.copyMakeBorder(drawn, rim_px, rim_px, rim_px, rim_px, cv2.BORDER_CONSTANT, value=255)
+    return np.where(whole > 127, 241, 14).astype(np.uint8)
+
+
+def _quaternion(turned_rad: float, tipped_rad: float, rolled_rad: float) -> tuple[float, ...]:
+    """Of a board held before the camera and turned about the vertical, tipped about the horizontal, rolled."""
+    rotation = _about(2, turned_rad) @ _about(1, tipped_rad) @ _about(0, rolled_rad) @ _SQUARE_ON
+    axis_angle, _ = cv2.Rodrigues(rotation)
+    angle_rad = float(np.linalg.norm(axis_angle))
+    x, y, z = (axis_angle.ravel() / max(angle_rad, 1e-12) * math.sin(angle_rad / 2)).tolist()
+    return math.cos(angle_rad / 2), x, y, z
+
+
+def _about(axis: int, angle_rad: float) -> np.ndarray:
+    vector = np.zeros(3)
+    vector[axis] = angle_rad
+    return np.asarray(cv2.Rodrigues(vector)[0])
