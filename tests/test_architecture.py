@@ -29,6 +29,8 @@ OPTIONAL = {
     "matplotlib": "base_station/evaluation/thesis/plotting.py",
     "pycolmap": "base_station/trackers/slam/libraries.py",
     "gtsam": "base_station/trackers/slam/libraries.py",
+    "foxglove": "base_station/recording/foxglove_file.py",
+    "mcap": "base_station/recording/mcap_file.py",
     "nicegui": None,
 }
 """Heavy or optional modules, each imported in one place of a package at the most, lazily; None: not yet fixed where."""
