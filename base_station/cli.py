@@ -16,6 +16,7 @@ from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.landmarks_command import Landmarks, landmarks
+from base_station.recording.replay_command import Replay, replay_run
 from base_station.run_command import Run, run
 from base_station.trackers.registry import tracker_names
 
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Landmarks | Score | Evaluate | Trackers | Robots,
+            Run | Replay | Landmarks | Score | Evaluate | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -61,6 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if isinstance(command, Run):
             run(command, console)
+            return EXIT_DONE
+        if isinstance(command, Replay):
+            replay_run(command, console)
             return EXIT_DONE
         if isinstance(command, Score):
             return _score(command)

@@ -62,7 +62,8 @@ class _Heard:
 class Recorder:
     """`note_step` and `note_telemetry` may be called from different threads, and return at once.
 
-    `raw`: pictures without loss, so that a replay gives the same results. `run`: what the run was asked for, as values
+    `raw`: pictures without loss, so that a replay gives the same results. `patient`: rather wait than leave anything
+    out, for a replay: no robot waits for it. `run`: what the run was asked for, as values
     that JSON knows. `hello`: what the robot says of itself. `driven`: where the wheels say that the robot was in a
     frame. Raises StationError, a mistake of usage, when the file cannot be made or foxglove-sdk is missing.
     """
@@ -72,6 +73,7 @@ class Recorder:
         path: Path,
         *,
         raw: bool = False,
+        patient: bool = False,
         run: Mapping[str, Any] | None = None,
         hello: Callable[[], Hello | None] = lambda: None,
         driven: Callable[[Frame], FlatPose | None] = lambda frame: None,
@@ -84,7 +86,7 @@ class Recorder:
         self.frames = 0
         """Recorded, with or without their picture."""
         self._file = FoxgloveFile(path)
-        self._raw, self._hello, self._driven = raw, hello, driven
+        self._raw, self._patient, self._hello, self._driven = raw, patient, hello, driven
         self._queue: deque[_Seen | _Heard] = deque()
         self._queued_bytes = 0
         self._changed = threading.Condition()
@@ -116,6 +118,8 @@ class Recorder:
         size = step.frame.image.nbytes
         driven = self._driven(step.frame)
         with self._changed:
+            if self._patient:
+                self._changed.wait_for(lambda: self._queued_bytes + size <= MOST_QUEUED_BYTES // 4 or self._over)
             full = len(self._queue) >= MOST_QUEUED
             keeps = not full and (not self._queued_bytes or self._queued_bytes + size <= MOST_QUEUED_BYTES)
             if full:
@@ -190,12 +194,15 @@ class Recorder:
             entry = self._queue.popleft()
             if isinstance(entry, _Seen) and entry.picture:
                 self._queued_bytes -= entry.step.frame.image.nbytes
+            if self._patient:
+                self._changed.notify()
             return entry
 
     def _give_up(self, reason: str) -> None:
         self._over, self._ended_early = True, reason
         with self._changed:
             self._queue.clear()
+            self._changed.notify_all()
         log.error(
             "The recording ends here: %s cannot be written any more (%s). The robot goes on; %d frames are recorded.",
             self.path, reason, self.frames,
