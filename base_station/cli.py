@@ -16,6 +16,8 @@ from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.landmarks_command import Landmarks, landmarks
+from base_station.recording.compare_command import Compare, compare
+from base_station.recording.export_command import Export, export
 from base_station.recording.replay_command import Replay, replay_run
 from base_station.run_command import Run, run
 from base_station.trackers.registry import tracker_names
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         command = tyro.cli(
-            Run | Replay | Landmarks | Score | Evaluate | Trackers | Robots,
+            Run | Replay | Compare | Export | Landmarks | Score | Evaluate | Trackers | Robots,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
@@ -65,6 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return EXIT_DONE
         if isinstance(command, Replay):
             replay_run(command, console)
+            return EXIT_DONE
+        if isinstance(command, Compare):
+            compare(command, console)
+            return EXIT_DONE
+        if isinstance(command, Export):
+            export(command, console)
             return EXIT_DONE
         if isinstance(command, Score):
             return _score(command)

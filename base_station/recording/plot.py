@@ -74,7 +74,7 @@ def _curves(panel: Any, rows: Sequence[Series], name: str, factor: float, zero_s
         values = series.values(name) * factor
         if name == "confidence":
             values[[result.state is not TrackingState.TRACKING for result in series.results]] = math.nan
-        color = palette.series[number % len(palette.series)]
+        color = _color(palette, number)
         panel.plot(np.array(series.times_s) - zero_s, values, color=color, linewidth=1.3, label=short_name(series.name))
     panel.margins(x=0.01)
 
@@ -90,11 +90,17 @@ def _lost(panel: Any, rows: Sequence[Series], zero_s: float, palette: Palette) -
                 for begin, end, result in zip(series.times_s, ends, series.results, strict=True)
                 if result.state is state
             ]
-            color = colors.get(state, palette.series[number % len(palette.series)])
+            color = colors.get(state, _color(palette, number))
             panel.broken_barh(bars, (number - 0.35, 0.7), color=color, linewidth=0)
     panel.set_yticks(range(len(rows)), [short_name(series.name) for series in rows])
     panel.set(title="TRACKING (LOST is red)", ylim=(len(rows) - 0.4, -0.6))
     panel.grid(visible=False)
+
+
+def _color(palette: Palette, number: int) -> str:
+    """Of a tracker; red is for LOST."""
+    colors = [color for color in palette.series if color != palette.bad]
+    return colors[number % len(colors)]
 
 
 def _named(panel: Any) -> list[tuple[Any, str]]:

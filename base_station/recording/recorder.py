@@ -22,7 +22,7 @@ import numpy as np
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.recording import topics
 from base_station.recording.foxglove_file import NS_PER_S, WORLD_FRAME, FoxgloveFile, Stamp
-from base_station.recording.poses import world_from_camera, world_from_robot
+from base_station.recording.poses import inverse, world_from_camera, world_from_robot
 from base_station.station import Step
 from base_station.types import Frame
 from protocol import Hello, Telemetry, Truth
@@ -255,12 +255,12 @@ class Recorder:
         self._file.jpeg(at, data.tobytes())
 
     def _write_poses(self, at: Stamp, seen: _Seen) -> None:
-        driven, pose = seen.driven, seen.step.result.cam_from_world
+        driven, pose = seen.driven, topics.whole_pose(seen.step.result)
         if driven is not None:
             robot = world_from_robot(driven.x_m, driven.y_m, driven.heading_rad)
             self._file.pose(topics.ODOMETRY_POSE, at, ODOMETRY_FRAME, robot)
         if pose is not None:
-            self._file.pose(topics.SLAM_POSE, at, MAP_FRAME, np.linalg.inv(np.asarray(pose, float)))
+            self._file.pose(topics.SLAM_POSE, at, MAP_FRAME, inverse(pose))
 
     def _write_telemetry(self, heard: _Heard) -> None:
         fields = asdict(heard.telemetry)

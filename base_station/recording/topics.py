@@ -93,15 +93,21 @@ def _known(fields: Mapping[str, Any]) -> Json:
 
 def result_fields(result: TrackerResult, tracker: str) -> Json:
     """Of a message on TRACKER or SHADOW."""
-    box, pose = result.box, result.cam_from_world
+    box, pose = result.box, whole_pose(result)
     return {
         "tracker": tracker,
         "state": result.state.value,
-        "reason": result.reason,
+        "reason": result.reason[:LONGEST_TEXT],
         "box": None if box is None else {"x": box.x, "y": box.y, "width": box.width, "height": box.height},
-        "cam_from_world": None if pose is None else [float(value) for value in np.asarray(pose).ravel()],
+        "cam_from_world": None if pose is None else pose.ravel().tolist(),
         **{name: getattr(result, name) for name in MEASURES},
     }
+
+
+def whole_pose(result: TrackerResult) -> np.ndarray | None:
+    """The result's pose (4x4); None when it has none, or a tracker of the user's own made something else of it."""
+    pose = None if result.cam_from_world is None else np.asarray(result.cam_from_world, float)
+    return pose if pose is not None and pose.shape == (4, 4) and np.isfinite(pose).all() else None
 
 
 def step_fields(step: Step, *, picture: bool) -> Json:
