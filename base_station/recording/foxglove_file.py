@@ -47,12 +47,15 @@ class _Sink(io.RawIOBase):
 
     def __init__(self, descriptor: int) -> None:
         self._file = io.FileIO(descriptor, "wb")
+        self._at = self._end = 0
         self.failure: OSError | None = None
         self.written = 0
 
     def write(self, data: Any) -> int:
         """All of it, or after a failure none, without a word: see `failure`."""
         view = memoryview(data)
+        self._at += len(view)
+        self._end = max(self._end, self._at)
         while self.failure is None and len(view):
             try:
                 count = self._file.write(view) or 0
@@ -64,7 +67,11 @@ class _Sink(io.RawIOBase):
         return len(data)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        return self._file.seek(offset, whence)
+        """Where the library believes to be: after a failure it goes on counting what is not written any more."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end}[whence]
+        if self.failure is None:
+            self._file.seek(self._at)
+        return self._at
 
     def seekable(self) -> bool:
         return True
@@ -73,7 +80,7 @@ class _Sink(io.RawIOBase):
         return True
 
     def tell(self) -> int:
-        return self._file.tell()
+        return self._at
 
     def flush(self) -> None:
         """Nothing is held back."""

@@ -16,6 +16,8 @@ from base_station.errors import StationError
 
 MOST_RECORD_BYTES = 256 << 20
 MOST_CHANNELS = 1000
+UNFINISHED_BYTES = (1 << 64) - 1
+"""The length that a chunk has until its end is written."""
 CUT_SHORT = "it is cut short, as when the program was killed"
 
 
@@ -96,6 +98,9 @@ class _Library:
             raise self.Damage(CUT_SHORT) from error
         except self.Damage:
             raise
+        except self._mcap.RecordLengthLimitExceeded as error:
+            begun = str(UNFINISHED_BYTES) in str(error)
+            raise self.Damage(CUT_SHORT if begun else f"it is damaged ({error})") from error
         except Exception as error:  # the package raises many unrelated types on garbage
             raise self.Damage(f"it is damaged ({type(error).__name__}: {str(error)[:100]})") from error
 
