@@ -16,12 +16,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.recording import topics
 from base_station.recording.foxglove_file import NS_PER_S, WORLD_FRAME, FoxgloveFile, Stamp
+from base_station.recording.jpeg import JpegEncoder
 from base_station.recording.poses import inverse, world_from_camera, world_from_robot
 from base_station.station import Step
 from base_station.types import Frame
@@ -34,7 +34,6 @@ FLUSH_S = 0.5
 MOST_QUEUED_BYTES = 64 << 20
 """Of pictures: some 7 s of 640x480 at 30 per second."""
 MOST_QUEUED = 4096
-JPEG_QUALITY = 90
 KEPT_TRUTHS = 512
 CLOSING_S = 20.0
 ODOMETRY_FRAME, MAP_FRAME = "odometry", "map"
@@ -87,6 +86,7 @@ class Recorder:
         """Recorded, with or without their picture."""
         self._file = FoxgloveFile(path)
         self._raw, self._patient, self._hello, self._driven = raw, patient, hello, driven
+        self._jpeg = JpegEncoder()
         self._queue: deque[_Seen | _Heard] = deque()
         self._queued_bytes = 0
         self._changed = threading.Condition()
@@ -251,8 +251,7 @@ class Recorder:
         if self._raw:
             self._file.raw(at, image)
             return
-        data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1]
-        self._file.jpeg(at, data.tobytes())
+        self._file.jpeg(at, self._jpeg.encode(image))
 
     def _write_poses(self, at: Stamp, seen: _Seen) -> None:
         driven, pose = seen.driven, topics.whole_pose(seen.step.result)

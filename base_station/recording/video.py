@@ -45,7 +45,7 @@ class SeenVideo:
         size = picture.shape[1], picture.shape[0]
         if self._writer is None:
             self._size = size
-            fourcc = cv2.VideoWriter_fourcc(*FOURCC[self._path.suffix.lower()])
+            fourcc = cv2.VideoWriter.fourcc(*FOURCC[self._path.suffix.lower()])
             self._writer = cv2.VideoWriter(str(self._path), fourcc, FPS, size)
             if not self._writer.isOpened():
                 raise StationError(f"{self._path} cannot be written as a video.")

@@ -16,7 +16,8 @@ from mcap.reader import make_reader
 from base_station.errors import StationError
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.orders import Order
-from base_station.recording import protobuf, recorder, topics
+from base_station.recording import jpeg, protobuf, recorder, topics
+from base_station.recording.jpeg import JpegEncoder
 from base_station.recording.reader import Recording
 from base_station.recording.recorder import Recorder
 from base_station.station import Step
@@ -96,6 +97,20 @@ def test_pictures_without_raw_are_jpegs_that_look_the_same(tmp_path: Path):
     differ = np.abs(found.frame.image[:, 2:].astype(int) - step.frame.image[:, 2:])
     assert 0 < differ.max() < 40
     assert differ.mean() < 3
+
+
+def test_noisy_pictures_keep_to_the_budget_and_quiet_ones_are_good():
+    encoder, chance = JpegEncoder(), np.random.default_rng(1)
+    noisy = [chance.integers(60, 200, (240, 320), np.uint8) for _ in range(80)]
+    sizes = [len(encoder.encode(picture)) for picture in noisy]
+    assert sizes[-1] < 0.5 * sizes[0]
+    quiet = numbered_picture(1, 320, 240)
+    for _ in range(60):
+        data = encoder.encode(quiet)
+    assert encoder.quality == jpeg.BEST
+    assert len(data) < jpeg.BYTES_PER_PX * quiet.size
+    milder = [np.clip(quiet + chance.normal(0, 6, quiet.shape), 0, 255).astype(np.uint8) for _ in range(120)]
+    assert np.mean([len(encoder.encode(picture)) for picture in milder][-60:]) < 1.02 * jpeg.BYTES_PER_PX * quiet.size
 
 
 def test_a_band_of_rows_keeps_its_place(tmp_path: Path):
