@@ -175,6 +175,8 @@ class Holds:
         ),
         (("base_station/link.py", "base_station/sockets.py"), ("base_station.trackers", "base_station.behaviours")),
         (("base_station/station.py",), ("base_station.cli", "base_station.display", "base_station.evaluation")),
+        (("base_station/station.py", "base_station/watcher.py", "base_station/kits.py"), ("base_station.recording",)),
+        (("base_station/recording",), ("base_station.cli", "base_station.run_command", "base_station.console")),
         (("robot_agent/safety.py",), ("robot_agent", "protocol", "threading", "time", "socket")),
         (
             tuple(f"robot_agent/{name}" for name in ("cameras", "robots", "pantilt", "sim", "playground")),

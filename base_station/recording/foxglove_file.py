@@ -11,7 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,26 +20,10 @@ from base_station.evaluation.slam.trajectory import quaternions
 from base_station.geometry import PinholeCamera
 from base_station.recording import topics
 
-if TYPE_CHECKING:
-    from foxglove.messages import Pose, Timestamp
-
 CHUNK_BYTES = 1 << 20
 COMPRESSION_LEVEL = 1
 NS_PER_S = 1_000_000_000
 CAMERA_FRAME, WORLD_FRAME = "camera", "world"
-
-
-def require() -> None:
-    """Raises StationError now, not when the robot moves already, when the library is missing."""
-    _foxglove()
-
-
-def _foxglove() -> Any:
-    try:
-        import foxglove
-    except ImportError:
-        raise StationError("Recording needs foxglove-sdk: pip install 'zservo[record]'.", usage=True) from None
-    return foxglove
 
 
 class _Sink(io.RawIOBase):
@@ -97,20 +81,12 @@ class Stamp:
 
     ns: int
 
-    def timestamp(self) -> Timestamp:
-        from foxglove.messages import Timestamp
-
-        return Timestamp(sec=self.ns // NS_PER_S, nsec=self.ns % NS_PER_S)
-
 
 class FoxgloveFile:
     """One recording. Not for several threads. Raises StationError when the file cannot be made."""
 
     def __init__(self, path: Path) -> None:
-        foxglove = _foxglove()
-        from foxglove import Context
-        from foxglove.mcap import MCAPCompression, MCAPWriteOptions
-
+        self._library = _Library()
         try:
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         except FileExistsError as error:
@@ -118,16 +94,9 @@ class FoxgloveFile:
         except OSError as error:
             raise StationError(f"{path} cannot be written ({error.strerror}).", usage=True) from error
         self._sink = _Sink(descriptor)
-        self._context = Context()
+        self._context = self._library.context()
         self._channels: dict[str, Any] = {}
-        options = MCAPWriteOptions(
-            compression=MCAPCompression.Zstd,
-            compression_level=COMPRESSION_LEVEL,
-            compression_threads=0,
-            chunk_size=CHUNK_BYTES,
-            profile="zservo",
-        )
-        self._writer = foxglove.open_mcap(self._sink, context=self._context, writer_options=options)
+        self._writer = self._library.writer(self._sink, self._context)
         if self.failure:
             self._sink.close()
             raise StationError(f"{path} cannot be written ({self.failure}).", usage=True)
@@ -146,37 +115,31 @@ class FoxgloveFile:
         """A message of one of our own topics."""
         channel = self._channels.get(topic)
         if channel is None:
-            from foxglove import Channel
-
-            channel = Channel(topic, schema=topics.SCHEMAS[topic], context=self._context)
+            channel = self._library.foxglove.Channel(topic, schema=topics.SCHEMAS[topic], context=self._context)
             self._channels[topic] = channel
         channel.log(topics.dumps(fields), log_time=at.ns)
 
     def jpeg(self, at: Stamp, data: bytes) -> None:
         """A picture, compressed."""
-        from foxglove.messages import CompressedImage
-
-        message = CompressedImage(timestamp=at.timestamp(), frame_id=CAMERA_FRAME, data=data, format="jpeg")
+        message = self._library.messages.CompressedImage(
+            timestamp=self._library.timestamp(at), frame_id=CAMERA_FRAME, data=data, format="jpeg"
+        )
         self._log("CompressedImageChannel", topics.CAMERA, at, message)
 
     def raw(self, at: Stamp, image: np.ndarray) -> None:
         """A gray picture as it is, uint8 (height, width)."""
-        from foxglove.messages import RawImage
-
         height, width = image.shape
-        message = RawImage(
-            timestamp=at.timestamp(), frame_id=CAMERA_FRAME, width=width, height=height, encoding="mono8", step=width,
-            data=image.tobytes(),
+        message = self._library.messages.RawImage(
+            timestamp=self._library.timestamp(at), frame_id=CAMERA_FRAME, width=width, height=height, encoding="mono8",
+            step=width, data=image.tobytes(),
         )  # fmt: skip
         self._log("RawImageChannel", topics.CAMERA, at, message)
 
     def calibration(self, at: Stamp, camera: PinholeCamera) -> None:
         """The camera, of whole pictures."""
-        from foxglove.messages import CameraCalibration
-
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-        message = CameraCalibration(
-            timestamp=at.timestamp(), frame_id=CAMERA_FRAME, width=camera.width, height=camera.height,
+        message = self._library.messages.CameraCalibration(
+            timestamp=self._library.timestamp(at), frame_id=CAMERA_FRAME, width=camera.width, height=camera.height,
             distortion_model="plumb_bob", D=[0.0] * 5, K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
             R=[1, 0, 0, 0, 1, 0, 0, 0, 1], P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
         )  # fmt: skip
@@ -184,20 +147,17 @@ class FoxgloveFile:
 
     def pose(self, topic: str, at: Stamp, frame_id: str, world_from_body: np.ndarray) -> None:
         """A pose (4x4) in the frame of this name."""
-        from foxglove.messages import PoseInFrame
-
-        message = PoseInFrame(timestamp=at.timestamp(), frame_id=frame_id, pose=_pose(world_from_body))
+        message = self._library.messages.PoseInFrame(
+            timestamp=self._library.timestamp(at), frame_id=frame_id, pose=self._library.pose(world_from_body)
+        )
         self._log("PoseInFrameChannel", topic, at, message)
 
     def transform(self, at: Stamp, parent: str, child: str, parent_from_child: np.ndarray) -> None:
         """Where the frame `child` is (4x4)."""
-        from foxglove.messages import FrameTransform, Quaternion, Vector3
-
-        place, (x, y, z, w) = parent_from_child[:3, 3], quaternions(parent_from_child[None, :3, :3])[0]
-        message = FrameTransform(
-            timestamp=at.timestamp(), parent_frame_id=parent, child_frame_id=child,
-            translation=Vector3(x=float(place[0]), y=float(place[1]), z=float(place[2])),
-            rotation=Quaternion(x=float(x), y=float(y), z=float(z), w=float(w)),
+        place, turn = self._library.place_and_turn(parent_from_child)
+        message = self._library.messages.FrameTransform(
+            timestamp=self._library.timestamp(at), parent_frame_id=parent, child_frame_id=child,
+            translation=place, rotation=turn,
         )  # fmt: skip
         self._log("FrameTransformChannel", topics.TRANSFORMS, at, message)
 
@@ -216,18 +176,48 @@ class FoxgloveFile:
     def _log(self, kind: str, topic: str, at: Stamp, message: Any) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            from foxglove import channels
-
-            channel = getattr(channels, kind)(topic, context=self._context)
+            channel = getattr(self._library.channels, kind)(topic, context=self._context)
             self._channels[topic] = channel
         channel.log(message, log_time=at.ns)
 
 
-def _pose(world_from_body: np.ndarray) -> Pose:
-    from foxglove.messages import Pose, Quaternion, Vector3
+class _Library:
+    """What is used of foxglove-sdk. Raises StationError, one sentence, when it is missing."""
 
-    place, (x, y, z, w) = world_from_body[:3, 3], quaternions(world_from_body[None, :3, :3])[0]
-    return Pose(
-        position=Vector3(x=float(place[0]), y=float(place[1]), z=float(place[2])),
-        orientation=Quaternion(x=float(x), y=float(y), z=float(z), w=float(w)),
-    )
+    def __init__(self) -> None:
+        try:
+            import foxglove
+            from foxglove import channels, mcap, messages
+        except ImportError:
+            raise StationError("Recording needs foxglove-sdk: pip install 'zservo[record]'.", usage=True) from None
+        self.foxglove, self.channels, self.messages, self._mcap = foxglove, channels, messages, mcap
+
+    def context(self) -> Any:
+        """Of one file: what is logged there goes nowhere else."""
+        return self.foxglove.Context()
+
+    def writer(self, sink: _Sink, context: Any) -> Any:
+        """Of chunks that are compressed in the thread that writes."""
+        options = self._mcap.MCAPWriteOptions(
+            compression=self._mcap.MCAPCompression.Zstd,
+            compression_level=COMPRESSION_LEVEL,
+            compression_threads=0,
+            chunk_size=CHUNK_BYTES,
+            profile="zservo",
+        )
+        return self.foxglove.open_mcap(sink, context=context, writer_options=options)
+
+    def timestamp(self, at: Stamp) -> Any:
+        return self.messages.Timestamp(sec=at.ns // NS_PER_S, nsec=at.ns % NS_PER_S)
+
+    def pose(self, world_from_body: np.ndarray) -> Any:
+        """Of a 4x4 matrix."""
+        place, turn = self.place_and_turn(world_from_body)
+        return self.messages.Pose(position=place, orientation=turn)
+
+    def place_and_turn(self, world_from_body: np.ndarray) -> tuple[Any, Any]:
+        """Its vector and its quaternion."""
+        x, y, z, w = (float(part) for part in quaternions(world_from_body[None, :3, :3])[0])
+        px, py, pz = (float(part) for part in world_from_body[:3, 3])
+        place = self.messages.Vector3(x=px, y=py, z=pz)
+        return place, self.messages.Quaternion(x=x, y=y, z=z, w=w)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import random
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -274,3 +275,14 @@ def test_a_result_that_is_none_is_refused(spoilt: dict[str, object]):
     assert topics.result_of(fields).zoom == TRACKED.zoom
     with pytest.raises(StationError):
         topics.result_of(fields | spoilt)
+
+
+@pytest.mark.parametrize(("module", "make"), [("foxglove", Recorder), ("mcap", Recording)])
+def test_a_missing_library_is_one_sentence_that_names_the_extra(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, make: type
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(StationError, match=r"pip install 'zservo\[record\]'") as caught:
+        make(tmp_path / "new.mcap" if make is Recorder else recorded)
+    assert caught.value.usage
+    assert not (tmp_path / "new.mcap").exists()
