@@ -19,6 +19,9 @@ from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
 from base_station.landmarks_command import Landmarks, landmarks
+from base_station.recording.compare_command import Compare, compare
+from base_station.recording.export_command import Export, export
+from base_station.recording.replay_command import Replay, replay_run
 from base_station.run_command import Run, run
 from base_station.trackers.registry import tracker_names
 
@@ -56,6 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         defaults = _run_defaults(arguments)
         command = tyro.cli(
             Annotated[Run, tyro.conf.subcommand(default=defaults)]
+            | Replay
+            | Compare
+            | Export
             | Landmarks
             | Calibrate
             | Score
@@ -74,6 +80,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if isinstance(command, Run):
             run(command, console)
+            return EXIT_DONE
+        if isinstance(command, Replay):
+            replay_run(command, console)
+            return EXIT_DONE
+        if isinstance(command, Compare):
+            compare(command, console)
+            return EXIT_DONE
+        if isinstance(command, Export):
+            export(command, console)
             return EXIT_DONE
         if isinstance(command, Score):
             return _score(command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from base_station.landmarks_command import scale_of, unknown_text
 from base_station.orders import LANDMARK
 from base_station.scale import Scale
+from base_station.trackers.base import Tracker
 from base_station.trackers.registry import make_tracker
 from base_station.watcher import Kit
 
@@ -28,14 +30,16 @@ class KitMaker:
     """The file of landmarks."""
     target_width_m: float | None = None
     learned_distance_m: float | None = None
+    trackers: Callable[[str], Tracker] = make_tracker
+    """What makes a tracker of a name that is no landmark's."""
 
     def __call__(self, name: str) -> Kit:
         if name.startswith(LANDMARK):
             return _landmark_kit(name, _landmark(name.removeprefix(LANDMARK), self.memory))
         if self.target_width_m is None and self.learned_distance_m is None:
-            return Kit(name=name, tracker=make_tracker(name))
+            return Kit(name=name, tracker=self.trackers(name))
         scale = functools.partial(scale_of, width_m=self.target_width_m, distance_m=self.learned_distance_m)
-        return Kit(name=name, tracker=make_tracker(name), scale=scale)
+        return Kit(name=name, tracker=self.trackers(name), scale=scale)
 
 
 def _landmark(name: str, memory: Path) -> Landmark:

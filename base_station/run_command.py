@@ -34,6 +34,7 @@ from base_station.kits import KitMaker
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link, LinkSettings
 from base_station.orders import LANDMARK
+from base_station.recording.session import recording_of
 from base_station.results import ResultsFile
 from base_station.station import Station, StationSettings, Step
 from base_station.terminal import pressed_keys
@@ -41,7 +42,7 @@ from base_station.trackers.base import Surveyor
 from base_station.trackers.registry import DEFAULT_TRACKER
 from base_station.types import Box
 from base_station.watcher import Kit
-from protocol import FRAME_PORT
+from protocol import FRAME_PORT, Telemetry
 
 ANY_CAMERA = PinholeCamera.with_fov(640, 480)
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -103,6 +104,10 @@ class Run:
     """Write the run's summary to this JSON file."""
     picture: Path | None = None
     """Write a picture of the run (last view, path, errors) to this PNG file."""
+    record: Path | None = None
+    """Record the run to this MCAP file: for `base-station replay`, Foxglove and Lichtblick."""
+    record_raw: bool = False
+    """Record the pictures without loss (five times the size), so that a replay gives the very same results."""
     status: bool = True
     """Show the live status line."""
 
@@ -142,6 +147,8 @@ def _check(run: Run) -> None:
             raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
         if path is not None and path.is_dir():
             raise StationError(f"{name}: {path} is a folder; name a file.", usage=True)
+    if run.record_raw and run.record is None:
+        raise StationError("--record-raw goes with --record FILE.mcap.", usage=True)
 
 
 def run(run: Run, console: Console) -> None:
@@ -166,11 +173,16 @@ def run(run: Run, console: Console) -> None:
         picture = RunPicture() if run.picture is not None else None
         if picture is not None:
             watching.append(picture.note_step)
-        link = Link(_link_settings(run), on_telemetry=log.note_telemetry)
+        hearing: list[Callable[[Telemetry], None]] = [log.note_telemetry]
+        link = Link(_link_settings(run), on_telemetry=functools.partial(_tell, hearing))
         driving: queue.SimpleQueue[str] = queue.SimpleQueue()
         station = _station(run, link, driving, watching, waiting)
-        stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
         stack.callback(station.close)
+        if run.record is not None:
+            recorder = stack.enter_context(recording_of(run, run.record, link, raw=run.record_raw))
+            watching.append(recorder.note_step)
+            hearing.append(recorder.note_telemetry)
+        stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
         keys = stack.enter_context(pressed_keys())
         if keys is not None:
             obey = functools.partial(_obey_keys, keys, station, driving)
@@ -188,6 +200,11 @@ def run(run: Run, console: Console) -> None:
         log.laps = station.laps
         log.note_survey(station.tracker.survey() if isinstance(station.tracker, Surveyor) else None)
     _conclude(run, console, link, log, picture, station.outcome)
+
+
+def _tell(hearing: list[Callable[[Telemetry], None]], telemetry: Telemetry) -> None:
+    for hear in hearing:
+        hear(telemetry)
 
 
 def _link_settings(run: Run) -> LinkSettings:

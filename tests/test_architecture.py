@@ -29,6 +29,8 @@ OPTIONAL = {
     "matplotlib": "base_station/evaluation/thesis/plotting.py",
     "pycolmap": "base_station/trackers/slam/libraries.py",
     "gtsam": "base_station/trackers/slam/libraries.py",
+    "foxglove": "base_station/recording/foxglove_file.py",
+    "mcap": "base_station/recording/mcap_file.py",
     "nicegui": None,
 }
 """Heavy or optional modules, each imported in one place of a package at the most, lazily; None: not yet fixed where."""
@@ -177,6 +179,8 @@ class Holds:
             ("base_station/watcher.py", "base_station/orders.py"),
             tuple(f"base_station.{name}" for name in ("behaviours", "station", "link", "sockets", "display", "cli")),
         ),
+        (("base_station/station.py", "base_station/watcher.py", "base_station/kits.py"), ("base_station.recording",)),
+        (("base_station/recording",), ("base_station.cli", "base_station.run_command", "base_station.console")),
         (("robot_agent/safety.py",), ("robot_agent", "protocol", "threading", "time", "socket")),
         (
             tuple(f"robot_agent/{name}" for name in ("cameras", "robots", "pantilt", "sim", "playground")),
