@@ -29,7 +29,9 @@ OPTIONAL = {
     "matplotlib": "base_station/evaluation/thesis/plotting.py",
     "pycolmap": "base_station/trackers/slam/libraries.py",
     "gtsam": "base_station/trackers/slam/libraries.py",
-    "nicegui": None,
+    "nicegui": "base_station/console/web.py",
+    "fastapi": "base_station/console/web.py",
+    "uvicorn": "base_station/console/web.py",
 }
 """Heavy or optional modules, each imported in one place of a package at the most, lazily; None: not yet fixed where."""
 LONGEST_MODULE_LINES = 600
@@ -173,6 +175,13 @@ class Holds:
         ),
         (("base_station/link.py", "base_station/sockets.py"), ("base_station.trackers", "base_station.behaviours")),
         (("base_station/station.py",), ("base_station.cli", "base_station.display", "base_station.evaluation")),
+        (
+            ("base_station/console",),
+            tuple(f"base_station.{name}" for name in ("trackers", "behaviours", "station", "watcher", "kits", "link",
+            "sockets", "display", "cli", "evaluation", "landmark_shelf", "console_option", "publication.publisher",
+            "publication.states", "publication.desk", "publication.service")),
+        ),
+        (("base_station/publication",), ("base_station.console", "base_station.cli", "base_station.link")),
         (("robot_agent/safety.py",), ("robot_agent", "protocol", "threading", "time", "socket")),
         (
             tuple(f"robot_agent/{name}" for name in ("cameras", "robots", "pantilt", "sim", "playground")),
