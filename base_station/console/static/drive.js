@@ -93,7 +93,7 @@ function leave(name) {
 function onKey(event) {
   const direction = KEYS[event.code];
   if (!direction || isTyping(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (document.querySelector(".q-menu, .q-dialog")) return; // the arrows choose in there
+  if (event.target.closest?.(".q-select")?.querySelector('[aria-expanded="true"]')) return; // the keys choose in there
   if (behaviour !== "teleop") {
     if (event.code.startsWith("Key")) hint();
     return; // the arrows scroll the page
