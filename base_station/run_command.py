@@ -25,12 +25,15 @@ from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
 from base_station.calibration.camera_file import read_camera
 from base_station.configuration import as_toml
+from base_station.console.launcher import ConsoleSettings
+from base_station.console_option import check_console, open_console
 from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.picture import RunPicture
 from base_station.geometry import PinholeCamera
 from base_station.kits import KitMaker
+from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link, LinkSettings
 from base_station.orders import LANDMARK
@@ -110,6 +113,12 @@ class Run:
     """Record the pictures without loss (five times the size), so that a replay gives the very same results."""
     status: bool = True
     """Show the live status line."""
+    console: bool = False
+    """Open the console: a page for the browser, to watch and to drive. The terminal tells its address."""
+    console_host: str = "127.0.0.1"
+    """Address to serve the console at; any but this machine's own asks its visitors for a token."""
+    console_port: int = 8080
+    """The first port to try for the console."""
 
 
 def _check(run: Run) -> None:
@@ -142,6 +151,7 @@ def _check(run: Run) -> None:
             raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
     if not 1 <= run.port <= 65532:
         raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
+    check_console(_console_settings(run))
     for name, path in (("--summary", run.summary), ("--picture", run.picture)):
         if path is not None and not path.parent.is_dir():
             raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
@@ -176,20 +186,23 @@ def run(run: Run, console: Console) -> None:
         hearing: list[Callable[[Telemetry], None]] = [log.note_telemetry]
         link = Link(_link_settings(run), on_telemetry=functools.partial(_tell, hearing))
         driving: queue.SimpleQueue[str] = queue.SimpleQueue()
-        station = _station(run, link, driving, watching, waiting)
+        shelf = LandmarkShelf(run.memory)
+        station = _station(run, link, driving, shelf, watching, waiting)
         stack.callback(station.close)
         if run.record is not None:
             recorder = stack.enter_context(recording_of(run, run.record, link, raw=run.record_raw))
             watching.append(recorder.note_step)
             hearing.append(recorder.note_telemetry)
         stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
+        if run.console:
+            _open_console(run, stack, link, station, shelf, watching, waiting)
         keys = stack.enter_context(pressed_keys())
         if keys is not None:
             obey = functools.partial(_obey_keys, keys, station, driving)
             watching.append(lambda step: obey())
             waiting.append(obey)
-        elif run.behaviour == "teleop":
-            raise StationError("teleop needs a terminal to read the keys from.", usage=True)
+        elif run.behaviour == "teleop" and not run.console:
+            raise StationError("teleop needs a terminal to read the keys from, or --console.", usage=True)
         if run.status:
             line = stack.enter_context(_status_line(run, console, link, keys is not None))
             watching.append(line.step)
@@ -219,6 +232,34 @@ def _link_settings(run: Run) -> LinkSettings:
     )
 
 
+def _console_settings(run: Run) -> ConsoleSettings:
+    return ConsoleSettings(host=run.console_host, port=run.console_port)
+
+
+def _open_console(
+    run: Run,
+    stack: ExitStack,
+    link: Link,
+    station: Station,
+    shelf: LandmarkShelf,
+    watching: list[Callable[[Step], None]],
+    waiting: list[Callable[[], None]],
+) -> None:
+    """For as long as the stack lasts. Raises StationError."""
+    publication = open_console(
+        stack,
+        _console_settings(run),
+        link,
+        orders=station,
+        shelf=shelf,
+        tracker=lambda: station.tracker,
+        outcome=lambda: station.outcome.text if station.outcome is not None else "",
+        own_trackers=tuple(name for name in (run.tracker, run.shadow) if name is not None),
+    )
+    watching.append(publication.step)
+    waiting.append(publication.wait)
+
+
 def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:
     hint = "space: emergency stop  r: release  l: learn  q: quit" if has_keys else ""
     if run.behaviour == "teleop":
@@ -230,6 +271,7 @@ def _station(
     run: Run,
     link: Link,
     driving: queue.SimpleQueue[str],
+    shelf: LandmarkShelf,
     watching: list[Callable[[Step], None]],
     waiting: list[Callable[[], None]],
 ) -> Station:
@@ -259,7 +301,17 @@ def _station(
         kit = _kit(make, run.tracker if run.landmark is None else LANDMARK + run.landmark)
         making.callback(kit.tracker.close)
         shadow = _kit(make, run.shadow) if run.shadow is not None else None
-        station = Station(link, kit, settings, shadow=shadow, keys=driving, make=make, on_step=on_step, on_wait=on_wait)
+        station = Station(
+            link,
+            kit,
+            settings,
+            shadow=shadow,
+            keys=driving,
+            make=make,
+            remember=shelf.remember,
+            on_step=on_step,
+            on_wait=on_wait,
+        )
         making.pop_all()  # they are the station's now
     return station
 

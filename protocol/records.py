@@ -21,6 +21,8 @@ from protocol.errors import ProtocolError
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_TEXT = 4096
 MAX_ITEMS = 1024
+MAX_BYTES = 48 * 1024
+"""Of one field of bytes."""
 
 T = TypeVar("T")
 
@@ -103,6 +105,8 @@ def _convert_scalar(kind: Any, value: Any, path: str) -> Any:
     if kind is bool and isinstance(value, bool):
         return value
     if kind is str and isinstance(value, str) and len(value) <= MAX_TEXT:
+        return value
+    if kind is bytes and isinstance(value, bytes) and len(value) <= MAX_BYTES:
         return value
     if kind is int and isinstance(value, int) and not isinstance(value, bool):
         return value

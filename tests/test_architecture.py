@@ -31,9 +31,11 @@ OPTIONAL = {
     "gtsam": "base_station/trackers/slam/libraries.py",
     "foxglove": "base_station/recording/foxglove_file.py",
     "mcap": "base_station/recording/mcap_file.py",
-    "nicegui": None,
+    "nicegui": "base_station/console/web.py",
+    "fastapi": "base_station/console/web.py",
+    "uvicorn": "base_station/console/web.py",
 }
-"""Heavy or optional modules, each imported in one place of a package at the most, lazily; None: not yet fixed where."""
+"""Heavy or optional modules, each imported in one place of a package at the most, lazily."""
 LONGEST_MODULE_LINES = 600
 
 
@@ -181,6 +183,13 @@ class Holds:
         ),
         (("base_station/station.py", "base_station/watcher.py", "base_station/kits.py"), ("base_station.recording",)),
         (("base_station/recording",), ("base_station.cli", "base_station.run_command", "base_station.console")),
+        (
+            ("base_station/console",),
+            tuple(f"base_station.{name}" for name in ("trackers", "behaviours", "station", "watcher", "kits", "link",
+            "sockets", "display", "cli", "evaluation", "landmark_shelf", "console_option", "publication.publisher",
+            "publication.states", "publication.desk", "publication.service")),
+        ),
+        (("base_station/publication",), ("base_station.console", "base_station.cli", "base_station.link")),
         (("robot_agent/safety.py",), ("robot_agent", "protocol", "threading", "time", "socket")),
         (
             tuple(f"robot_agent/{name}" for name in ("cameras", "robots", "pantilt", "sim", "playground")),

@@ -66,3 +66,47 @@ class WantsRows(Tracker, Protocol):
         """The rows of the whole frame, first and past-last, that the next frames must have, with room for how far the
         target moves and grows in a tenth of a second; None: all. They may stick out of the frame."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shown:
+    """What a tracker shows of itself, of the last frame: for people to look at, never for control."""
+
+    features_px: np.ndarray | None = None
+    """(n, 2), x and y in the whole frame: what it follows."""
+    signature: np.ndarray | None = None
+    """(n,), by what it knows its target: as it is now..."""
+    learned_signature: np.ndarray | None = None
+    """...and as it was learned."""
+    bands: int = 0
+    """It reads the target's box in so many bands of rows; 0: it does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapView:
+    """A map, in its own unit and origin: x right, y down, z ahead of the camera in its first picture."""
+
+    points: np.ndarray
+    """(n, 3)."""
+    keyframes: np.ndarray
+    """(n, 3), where the remembered pictures were taken, the oldest first."""
+    world_from_cam: np.ndarray | None = None
+    """4x4, of the last frame; None when its pose is not known."""
+
+
+@runtime_checkable
+class Shows(Tracker, Protocol):
+    """A tracker that can show something. It is asked after each frame, and must not take long: a millisecond."""
+
+    def show(self) -> Shown:
+        """Of the last `update`."""
+        ...
+
+
+@runtime_checkable
+class Maps(Tracker, Protocol):
+    """A tracker with a map to show."""
+
+    def show_map(self) -> MapView | None:
+        """After the last `update`; None before there is a map. Copies, or arrays that do not change."""
+        ...

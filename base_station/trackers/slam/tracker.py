@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from base_station.trackers.base import Survey
+from base_station.trackers.base import MapView, Shown, Survey
 from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
 from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
 from base_station.trackers.slam import libraries
@@ -22,6 +22,7 @@ from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
+from base_station.trackers.slam.se3 import camera_centers, inverse
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
 from base_station.trackers.slam.target import MapTarget, heading_of, place_in_map, result_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
@@ -64,6 +65,7 @@ class SlamTracker(PatchTracker):
         self._learned_center = (0.0, 0.0)
         self._target: MapTarget | None = None
         self._compass = ZCompass()
+        self._pose: np.ndarray | None = None
         self._frames = 0
 
     @property
@@ -108,7 +110,7 @@ class SlamTracker(PatchTracker):
         if slam is None or learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
         seen = slam.track(frame.image, frame.time_s)
-        pose = seen.cam_from_world
+        pose = self._pose = seen.cam_from_world
         self._frames += 1
         if pose is not None:
             self._place(slam)
@@ -163,6 +165,29 @@ class SlamTracker(PatchTracker):
             return Missed(f"the target is hidden or gone ({len(rows)} of {len(mine)} corners matched)")
         x, y = motion.moved(*learned.center_px)
         return Found(x=x, y=y, zoom=motion.zoom, confidence=motion.inliers / len(rows))
+
+    def show(self) -> Shown:
+        """See `base.Shows`. The corners that are known points of the map; while there is none, all corners."""
+        picture = self._slam.last_picture if self._slam is not None else None
+        if picture is None:
+            return Shown()
+        of_map = picture.point_of >= 0
+        xy_px = picture.features.xy_px
+        return Shown(features_px=xy_px[of_map] if of_map.any() else xy_px)
+
+    def show_map(self) -> MapView | None:
+        """See `base.Maps`. The map in use."""
+        slam = self._slam
+        if slam is None or slam.component < 0:
+            return None
+        world, rows = slam.map, slam.map.keyframes_alive(slam.component)
+        if not len(rows):
+            return None
+        return MapView(
+            points=world.xyz[world.points_alive(slam.component)],
+            keyframes=camera_centers(world.poses[rows]),
+            world_from_cam=inverse(self._pose) if self._pose is not None else None,
+        )
 
     def survey(self) -> Survey | None:
         """See `base.Surveyor`."""

@@ -6,6 +6,7 @@ landmark's small picture, goes on from where it was found. When that one has los
 
 from __future__ import annotations
 
+from base_station.trackers.base import Shown
 from base_station.trackers.ztransform.landmark import Landmark
 from base_station.trackers.ztransform.lookup import LandmarkMemory
 from base_station.trackers.ztransform.tracker import ZTransformTracker
@@ -54,6 +55,10 @@ class RecallTracker:
     def wanted_rows(self) -> tuple[int, int] | None:
         """See `base.WantsRows`. All while it is looked up."""
         return None if self._seen_s is None else self._tracker.wanted_rows()
+
+    def show(self) -> Shown:
+        """See `base.Shows`."""
+        return self._tracker.show() if self._seen_s is not None else Shown()
 
     def close(self) -> None:
         """Let go of the landmark."""

@@ -83,6 +83,11 @@ class RigidFollower:
         patch, _, share = self._reader.patch(pyramid, placement, lens)
         return patch, share
 
+    def signatures(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """At this placement, and as learned: float32 (n,) of length 1 each."""
+        patch, _ = self.read(pyramid, *_in_band(pyramid, placement, lens))
+        return self._reader.signature(patch)[0], self._learned_signature
+
     def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_place: bool) -> None:
         """Remember what is at this placement, and how its signature changes when it moves."""
         self._learned_at, self._is_place = placement.copy(), is_place

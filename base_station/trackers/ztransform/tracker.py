@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from base_station.geometry import PinholeCamera
+from base_station.trackers.base import Shown
 from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
 from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
 from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
@@ -108,6 +109,8 @@ class ZTransformTracker:
         self._rigid, self._loose = RigidFollower(self._settings.rigid), LooseFollower(self._settings.loose)
         self._learned: _Learned | None = None
         self._motion = Motion()
+        self._seen: tuple[Pyramid, np.ndarray] | None = None
+        """The last frame with the target in it, and its lens."""
         self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
         self._warm_up()
 
@@ -142,7 +145,7 @@ class ZTransformTracker:
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
-        learned = self._learned
+        learned, self._seen = self._learned, None
         if learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
         if frame.shape != learned.shape:
@@ -152,6 +155,7 @@ class ZTransformTracker:
         pyramid = Pyramid(frame.image, frame.first_row)
         look, is_believed = self._look(pyramid, frame.time_s, lens, is_whole=frame.is_whole)
         if is_believed and self._is_possible(look, frame.shape):
+            self._seen = pyramid, lens
             return self._tracked(frame, look, lens)
         self._is_tracking = False
         self._frames_lost += 1
@@ -169,6 +173,15 @@ class ZTransformTracker:
         ends += [learned.horizon_px + nearer * (y - learned.horizon_px) for y in ends]
         return math.floor(min(ends)), math.ceil(max(ends)) + 1
 
+    def show(self) -> Shown:
+        """See `base.Shows`. The signature of a target that is seen, and the learned one."""
+        bands = self._settings.rigid.signature.bands
+        if self._seen is None or self._learned is None:
+            return Shown(bands=bands)
+        pyramid, lens = self._seen
+        now, learned = self._rigid.signatures(pyramid, self._motion.last, lens)
+        return Shown(signature=now, learned_signature=learned, bands=bands)
+
     @property
     def landmark_bytes(self) -> int:
         """What must be kept to find what was learned again: a `Landmark`. `recall.py` makes a tracker of one."""
@@ -176,7 +189,7 @@ class ZTransformTracker:
 
     def close(self) -> None:
         """Let go of what was learned."""
-        self._learned = None
+        self._learned = self._seen = None
 
     def _look(self, pyramid: Pyramid, time_s: float, lens: np.ndarray, *, is_whole: bool = True) -> tuple[Look, bool]:
         """The best that can be made of this frame, and whether to believe that it is the target."""
@@ -376,7 +389,7 @@ class ZTransformTracker:
         self._is_tracking = False
         self.update(frame)
         self._follow_loose(Pyramid(picture), 0.0)
-        (self._settings, self._rigid), self._learned = kept, None
+        (self._settings, self._rigid), self._learned, self._seen = kept, None, None
 
 
 def _lost(reason: str, confidence: float) -> TrackerResult:

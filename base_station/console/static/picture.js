@@ -1,0 +1,114 @@
+// The live picture: asks for the next one as soon as the last is drawn, so that a slow line shows fewer, never old ones.
+
+import * as drive from "./drive.js";
+import * as emergency from "./emergency.js";
+import { draw } from "./overlay.js";
+
+const KEPT = 300;
+const decoder = new TextDecoder();
+
+export const shown = { head: null, status: {}, times_ms: [], delays_ms: [], drag: null };
+// The last picture's head, the last status, and of the last pictures when they were drawn, and how long after their
+// last byte had reached the station (by the clocks of two machines, unless they are one).
+
+let picture, overlay;
+
+export function canvases(host) {
+  picture = document.createElement("canvas");
+  overlay = document.createElement("canvas");
+  picture.className = "picture";
+  overlay.className = "overlay";
+  host.prepend(picture, overlay);
+  new ResizeObserver(redraw).observe(host);
+  run();
+  return overlay;
+}
+
+export function redraw() {
+  const ratio = window.devicePixelRatio || 1;
+  const width = Math.round(overlay.clientWidth * ratio), height = Math.round(overlay.clientHeight * ratio);
+  if (overlay.width !== width || overlay.height !== height) Object.assign(overlay, { width, height });
+  draw(overlay.getContext("2d"), shown, ratio);
+}
+
+async function run() {
+  for (let number = 0; ; ) {
+    if (document.hidden) {
+      await new Promise((visible) => document.addEventListener("visibilitychange", visible, { once: true }));
+    }
+    try {
+      const answer = await fetch(`/picture?after=${number}`, { signal: AbortSignal.timeout(5000) });
+      if (!answer.ok) throw new Error(`${answer.status}`);
+      number = (await take(await answer.arrayBuffer())) ?? number;
+    } catch (error) {
+      gone();
+      await new Promise((later) => setTimeout(later, 500));
+      number = 0;
+    }
+  }
+}
+
+async function take(packet) {
+  const length = new DataView(packet).getUint32(0, true);
+  const told = JSON.parse(decoder.decode(new Uint8Array(packet, 4, length)));
+  tell(told.status);
+  const head = told.head;
+  if (!head) {
+    shown.head = null;
+    redraw();
+    return null;
+  }
+  const end = 4 + length + 4 * head.features;
+  head.points = new Uint16Array(packet.slice(4 + length, end));
+  const image = await createImageBitmap(new Blob([new Uint8Array(packet, end)], { type: "image/jpeg" }));
+  if (picture.width !== head.width || picture.height !== head.height) {
+    Object.assign(picture, { width: head.width, height: head.height });
+    picture.parentElement.style.setProperty("--aspect", head.width / head.height);
+  }
+  const context = picture.getContext("2d", { alpha: false });
+  if (head.rows < head.height) {
+    context.fillStyle = "#000";
+    context.fillRect(0, 0, head.width, head.height);
+  }
+  context.drawImage(image, 0, head.first_row);
+  image.close();
+  shown.head = head;
+  redraw();
+  note(head.arrived_s);
+  return head.number;
+}
+
+function note(arrived_s) {
+  requestAnimationFrame(() => {
+    const now = performance.now();
+    shown.times_ms.push(now);
+    shown.delays_ms.push(performance.timeOrigin + now - arrived_s * 1e3);
+    for (const kept of [shown.times_ms, shown.delays_ms]) if (kept.length > KEPT) kept.shift();
+  });
+}
+
+export function rate_hz() {
+  const recent = shown.times_ms.filter((time) => performance.now() - time < 2000);
+  return recent.length > 1 ? ((recent.length - 1) * 1e3) / (recent.at(-1) - recent[0]) : 0;
+}
+
+function tell(status) {
+  shown.status = status;
+  emergency.show(status);
+  drive.setBehaviour(status.behaviour ?? "");
+  banner(status.ended ? "The station has ended." : status.connected ? "" : status.link);
+}
+
+function gone() {
+  shown.head = null;
+  redraw();
+  drive.setBehaviour("");
+  const ended = shown.status.ended ? "The station has ended." : "The console cannot be reached.";
+  banner(`${ended} This page shows the last it knew.`);
+}
+
+function banner(text) {
+  const box = document.getElementById("banner");
+  box.hidden = !text;
+  box.textContent = text;
+}
