@@ -33,7 +33,7 @@ class CornerFinder:
 
     def __init__(self, width_px: int, height_px: int) -> None:
         most = (width_px // 2 + 1) * (height_px // 2 + 1)  # two neighbours are never both the higher one
-        self._scores = np.zeros((height_px, width_px), np.uint8)
+        self._scores = np.zeros(height_px * width_px, np.uint8)
         self._row = np.zeros(width_px + 8, np.uint8)
         self._found = np.empty((most, 3), np.int32)
 
@@ -46,12 +46,10 @@ class CornerFinder:
         inner_px = (width - 2 * BORDER_PX) * (height - 2 * BORDER_PX)
         if min(width, height) <= 2 * BORDER_PX or quota < 1:
             return np.empty((0, 2), np.int32)
-        scores = self._scores[:height, :width]
-        _score(level, scores, BORDER_PX - 1, np.uint8(weak))
-        found = self._found[: _peaks(scores, BORDER_PX, self._row, self._found)]
         columns, rows = max(1, round(width / BLOCK_PX)), max(1, round(height / BLOCK_PX))
-        enough = RICH_SHARE * quota / (columns * rows)
-        found = found[: _without_weak(found, strong, width, height, columns, rows, enough)]
+        scores = self._scores[: width * height].reshape(height, width)
+        n = _candidates(level, scores, self._row, self._found, np.uint8(strong), np.uint8(weak), columns, rows, quota)
+        found = self._found[:n]
         return found[_spread(found, max(8.0, (inner_px / quota) ** 0.5), width, height, quota), :2]
 
 
@@ -141,6 +139,15 @@ def _peaks(scores, border, row, found):
                     found[n, 0], found[n, 1], found[n, 2] = x, y, row[x]
                     n += 1
     return n
+
+
+@njit(cache=True, nogil=True)
+def _candidates(level, scores, row, found, strong, weak, columns, rows, quota):
+    """Fill `found` with the corners to choose from, n of them; n comes back."""
+    _score(level, scores, BORDER_PX - 1, weak)
+    n = _peaks(scores, BORDER_PX, row, found)
+    height, width = level.shape
+    return _without_weak(found[:n], strong, width, height, columns, rows, RICH_SHARE * quota / (columns * rows))
 
 
 @njit(cache=True, nogil=True)

@@ -27,16 +27,10 @@ def smoothed(level: np.ndarray, into: np.ndarray | None = None) -> np.ndarray:
 def describe(level: np.ndarray, smooth: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of corners (n, 2) int32 px of a picture (h, w) uint8: places (n, 2) float32 px, angles (n,) float32 degrees,
     0..360, and descriptors (n, 4) uint64. Raises ValueError where one lies within BORDER_PX."""
-    height, width = level.shape
-    if len(corners) and not (
-        min(corners[:, 0].min(), corners[:, 1].min()) >= BORDER_PX
-        and corners[:, 0].max() < width - BORDER_PX
-        and corners[:, 1].max() < height - BORDER_PX
-    ):
-        raise ValueError(f"a corner nearer than {BORDER_PX} px to the picture's border cannot be described")
     places, angles = np.empty((len(corners), 2), np.float32), np.empty(len(corners), np.float32)
     looks = np.empty((len(corners), 4), np.uint64)
-    _describe(level, smooth, corners, _DISC, _CORNER_WEIGHTS, _PAIRS, places, angles, looks)
+    if not _describe(level, smooth, corners, _DISC, _WINDOW, _PAIRS, places, angles, looks):
+        raise ValueError(f"a corner nearer than {BORDER_PX} px to the picture's border cannot be described")
     return places, angles, looks
 
 
@@ -47,61 +41,71 @@ _HALF_WIDTHS = [
 ]
 """Of the disc's rows; the same across as along, or the angle would depend on how the camera is turned."""
 _DISC = np.array([[255 * (abs(u - PATCH_RADIUS_PX) <= half) for u in range(LANES)] for half in _HALF_WIDTHS], np.uint8)
-_ALONG = np.exp(-((np.arange(-CORNER_RADIUS_PX, CORNER_RADIUS_PX + 1) / CORNER_RADIUS_PX) ** 2))
-_CORNER_WEIGHTS = np.zeros((2 * CORNER_RADIUS_PX + 1, LANES // 2), np.float32)
-_CORNER_WEIGHTS[:, : len(_ALONG)] = np.outer(_ALONG, _ALONG)
+_SIDE = 2 * CORNER_RADIUS_PX + 3
+"""Of the px about a corner whose differences are its gradients."""
+_DOWN, _ALONG = np.divmod(np.arange((_SIDE - 2) * _SIDE), _SIDE) - np.array(CORNER_RADIUS_PX)
+_WINDOW = np.stack(
+    [np.exp(-(_ALONG**2 + _DOWN**2) / CORNER_RADIUS_PX**2) * (_ALONG <= CORNER_RADIUS_PX), _ALONG, _DOWN]
+).astype(np.float32)
+"""(3, 99): weight, u and v of each gradient, row by row; those that would reach into the next row weigh nothing."""
 _PAIRS = np.ascontiguousarray(PAIRS.transpose(1, 2, 0), np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _describe(level, smooth, corners, disc, weights, pairs, places, angles, looks):
+def _describe(level, smooth, corners, disc, window, pairs, places, angles, looks):
+    """Whether all corners are far enough from the border."""
     along, across = np.empty(LANES, np.int16), np.empty(LANES, np.int16)
-    sums = np.empty((5, weights.shape[1]), np.float32)
+    patch = np.empty(_SIDE * _SIDE, np.float32)
     first, second = np.empty(pairs.shape[2], np.int32), np.empty(pairs.shape[2], np.int32)
     flat = smooth.reshape(-1)
+    height, width = level.shape
     for i in range(len(corners)):
         column, row = corners[i, 0], corners[i, 1]
-        places[i, 0], places[i, 1] = _place(level, column, row, weights, sums)
+        if min(column, row, width - 1 - column, height - 1 - row) < BORDER_PX:
+            return False
+        places[i, 0], places[i, 1] = _place(level, column, row, window, patch)
         angle = _angle_deg(level, column, row, disc, along, across)
         angles[i] = angle
         turn = np.float32(angle) * np.float32(np.pi / 180.0)
         c, s = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-        _turned(pairs[0], c, s, smooth.shape[1], first)
-        _turned(pairs[1], c, s, smooth.shape[1], second)
-        _compare(flat, row * smooth.shape[1] + column, first, second, looks[i])
+        _turned(pairs[0], c, s, width, first)
+        _turned(pairs[1], c, s, width, second)
+        _compare(flat, row * width + column, first, second, looks[i])
+    return True
 
 
 @njit(cache=True, nogil=True)
-def _place(level, column, row, weights, sums):
+def _place(level, column, row, window, patch):
     """Where the edges around a corner meet: the point from which all gradients nearby point across, in the least
     squares sense (Foerstner and Guelch 1987). A corner that would move by more than a px stays."""
-    radius = weights.shape[0] // 2
-    sums[:] = 0.0
-    a, b, c, down_b, down_c = sums[0], sums[1], sums[2], sums[3], sums[4]
-    left = np.uint64(column - radius - 1)
-    for v in range(-radius, radius + 1):
-        weight, distance = weights[v + radius], np.float32(v)
-        before, line, after = level[row + v - 1], level[row + v], level[row + v + 1]
-        for u in range(np.uint64(weights.shape[1])):
-            gx = np.float32(np.int32(line[left + u + np.uint64(2)]) - np.int32(line[left + u]))
-            gy = np.float32(np.int32(after[left + u + np.uint64(1)]) - np.int32(before[left + u + np.uint64(1)]))
-            wx, wy = weight[u] * gx, weight[u] * gy
-            a[u] += wx * gx
-            b[u] += wx * gy
-            c[u] += wy * gy
-            down_b[u] += distance * wx * gy
-            down_c[u] += distance * wy * gy
-    aa, bb, cc, p, q = 0.0, 0.0, 0.0, 0.0, 0.0
-    for u in range(2 * radius + 1):
-        aa, bb, cc = aa + a[u], bb + b[u], cc + c[u]
-        p += a[u] * (u - radius) + down_b[u]
-        q += b[u] * (u - radius) + down_c[u]
-    determinant = aa * cc - bb * bb
-    if determinant > 1e-3 * aa * cc:
-        du, dv = (cc * p - bb * q) / determinant, (aa * q - bb * p) / determinant
+    radius = CORNER_RADIUS_PX + 1
+    left = np.uint64(column - radius)
+    for v in range(_SIDE):
+        line, first = level[row + v - radius], np.uint64(v * _SIDE)
+        for u in range(np.uint64(_SIDE)):
+            patch[first + u] = np.float32(line[left + u])
+    a, b, c, p, q = _gradient_sums(patch, window[0], window[1], window[2])
+    determinant = a * c - b * b
+    if determinant > np.float32(1e-3) * a * c:
+        du, dv = (c * p - b * q) / determinant, (a * q - b * p) / determinant
         if abs(du) <= 1.0 and abs(dv) <= 1.0:
             return column + du, row + dv
     return column + 0.0, row + 0.0
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc"})
+def _gradient_sums(patch, weights, along, down):
+    a, b, c, p, q = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    for k in range(np.uint64(len(weights))):
+        gx = patch[k + np.uint64(_SIDE + 2)] - patch[k + np.uint64(_SIDE)]
+        gy = patch[k + np.uint64(2 * _SIDE + 1)] - patch[k + np.uint64(1)]
+        wx, wy = weights[k] * gx, weights[k] * gy
+        a += wx * gx
+        b += wx * gy
+        c += wy * gy
+        p += wx * (gx * along[k] + gy * down[k])
+        q += wy * (gx * along[k] + gy * down[k])
+    return a, b, c, p, q
 
 
 @njit(cache=True, nogil=True)

@@ -86,6 +86,12 @@ class FeatureExtractor:
             (np.empty(size, np.uint8), np.empty(size, np.uint8)) for size in sizes if min(size) >= 2 * BORDER_PX + 8
         ]
 
+    @cached_property
+    def _ratios(self) -> np.ndarray:
+        """(levels, 2): a px of the picture, by one of each level as large as it has come out; across, and down."""
+        height, width = self._levels[0][0].shape
+        return np.array([(width / level.shape[1], height / level.shape[0]) for level, _ in self._levels])
+
     def __call__(self, image: np.ndarray) -> Features:
         """The features of a gray uint8 picture of the camera's size."""
         settings, found = self.settings, []
@@ -95,7 +101,7 @@ class FeatureExtractor:
                 level = cv2.resize(level, smaller.shape[::-1], smaller, interpolation=cv2.INTER_LINEAR)
             corners = self._find(level, quota, strong=settings.threshold, weak=settings.weak_threshold)
             xy, angles, looks = describe(level, smoothed(level, smooth), corners)
-            ratio = np.array([image.shape[1] / level.shape[1], image.shape[0] / level.shape[0]])
-            found.append(((xy + 0.5) * ratio - 0.5, np.full(len(xy), octave, np.uint8), angles, looks))
+            found.append((xy, np.full(len(xy), octave, np.uint8), angles, looks))
         xy, octaves, angles, looks = (np.concatenate(part) for part in zip(*found, strict=True))
+        xy = (xy + 0.5) * self._ratios[octaves] - 0.5
         return Features(self._camera.undistort(xy), octaves, angles, looks)
