@@ -8,6 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numba import njit
+
+SURE_KEYFRAMES = 3
+"""A point that so many keyframes see is one that is found again."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class KeyframeSettings:
@@ -38,3 +44,34 @@ def wants_keyframe(settings: KeyframeSettings, *, frames_since: int, matches: in
     if waiting:
         return share < settings.urgent_share
     return share < settings.seen_share or frames_since >= settings.most_frames
+
+
+def share_seen(
+    reference: np.ndarray, picture: np.ndarray, alive: np.ndarray, observed: np.ndarray, least: int
+) -> float:
+    """Of the points that a reference keyframe sees surely, those that a picture sees, 0..1.
+
+    `reference`, `picture`: the points that their features show, or -1; `alive`, `observed`: the map's columns. With
+    fewer than `least` sure ones, of all that it sees.
+    """
+    return _share_seen(reference, picture, alive, observed, least)
+
+
+@njit(cache=True, nogil=True)
+def _share_seen(reference, picture, alive, observed, least):
+    seen = np.zeros(len(alive), np.bool_)
+    for point in picture:
+        if point >= 0:
+            seen[point] = True
+    every, every_seen, sure, sure_seen = 0, 0, 0, 0
+    for point in reference:
+        if point < 0:
+            continue
+        every += 1
+        every_seen += seen[point]
+        if alive[point] and observed[point] >= SURE_KEYFRAMES:
+            sure += 1
+            sure_seen += seen[point]
+    if sure < least:
+        sure, sure_seen = every, every_seen
+    return sure_seen / sure if sure else 0.0

@@ -37,14 +37,28 @@ class Grid:
     @classmethod
     def of(cls, xy_px: np.ndarray, bounds_px: np.ndarray) -> Grid:
         """Of keypoints (n, 2) within (left, top, right, bottom); those outside count to the border's cells."""
-        left, top, right, bottom = bounds_px
+        left, top, right, bottom = (float(side) for side in bounds_px)
         columns, rows = int((right - left) / CELL_PX) + 1, int((bottom - top) / CELL_PX) + 1
-        column = np.clip((xy_px[:, 0] - left) / CELL_PX, 0, columns - 1).astype(np.int64)
-        row = np.clip((xy_px[:, 1] - top) / CELL_PX, 0, rows - 1).astype(np.int64)
-        cell = column + columns * row
-        start = np.zeros(columns * rows + 1, np.int64)
-        np.cumsum(np.bincount(cell, minlength=columns * rows), out=start[1:])
-        return cls(start, np.argsort(cell, kind="stable"), float(left), float(top), columns, rows)
+        start, order = _by_cell(xy_px, left, top, columns, rows)
+        return cls(start, order, left, top, columns, rows)
+
+
+@njit(cache=True, nogil=True)
+def _by_cell(xy, left, top, columns, rows):
+    cells = np.empty(len(xy), np.int64)
+    start, order = np.zeros(columns * rows + 1, np.int64), np.empty(len(xy), np.int64)
+    for i in range(len(xy)):
+        column = min(max((xy[i, 0] - left) / CELL_PX, 0.0), columns - 1.0)
+        row = min(max((xy[i, 1] - top) / CELL_PX, 0.0), rows - 1.0)
+        cells[i] = int(column) + columns * int(row)
+        start[cells[i] + 1] += 1
+    for cell in range(columns * rows):
+        start[cell + 1] += start[cell]
+    place = start.copy()
+    for i in range(len(xy)):
+        order[place[cells[i]]] = i
+        place[cells[i]] += 1
+    return start, order
 
 
 def match_projections(

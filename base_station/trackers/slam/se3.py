@@ -7,6 +7,9 @@ import math
 import numpy as np
 from numba import njit
 
+NEWTON_STEPS = 4
+"""Each squares how far a matrix is from a rotation: from 0.1 to nothing."""
+
 
 def inverse(pose: np.ndarray) -> np.ndarray:
     """world_from_cam of cam_from_world. Also of a stack (..., 4, 4)."""
@@ -43,10 +46,34 @@ def rotation_angle_rad(rotation: np.ndarray) -> float:
     return math.atan2(twice_sine, float(np.trace(r)) - 1.0)
 
 
-def orthonormal(pose: np.ndarray) -> np.ndarray:
-    """The pose with its rotation brought back to a true one: products of many drift."""
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    return pose_of(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, pose[:3, 3])
+def relative(one_from_world: np.ndarray, two_from_world: np.ndarray) -> np.ndarray:
+    """one_from_two, 4x4, its rotation brought back to a true one (the nearest): products of many drift."""
+    return _relative(np.ascontiguousarray(one_from_world), np.ascontiguousarray(two_from_world))
+
+
+@njit(cache=True, nogil=True)
+def _relative(one, two):
+    rotation, product, pose = np.empty((3, 3)), np.empty((3, 3)), np.zeros((4, 4))
+    for i in range(3):
+        pose[i, 3] = one[i, 3]
+        for j in range(3):
+            rotation[i, j] = one[i, 0] * two[j, 0] + one[i, 1] * two[j, 1] + one[i, 2] * two[j, 2]
+        for j in range(3):
+            pose[i, 3] -= rotation[i, j] * two[j, 3]
+    for _ in range(NEWTON_STEPS):
+        for i in range(3):
+            for j in range(3):
+                product[i, j] = -0.5 * (
+                    rotation[0, i] * rotation[0, j] + rotation[1, i] * rotation[1, j] + rotation[2, i] * rotation[2, j]
+                )
+            product[i, i] += 1.5
+        for i in range(3):
+            x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+            for j in range(3):
+                rotation[i, j] = x * product[0, j] + y * product[1, j] + z * product[2, j]
+    pose[:3, :3] = rotation
+    pose[3, 3] = 1.0
+    return pose
 
 
 @njit(cache=True, nogil=True)

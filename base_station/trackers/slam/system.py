@@ -17,14 +17,14 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
-from base_station.trackers.slam.keyframe_decision import wants_keyframe
+from base_station.trackers.slam.keyframe_decision import share_seen, wants_keyframe
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap
 from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, MapperProcess
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
-from base_station.trackers.slam.se3 import inverse, orthonormal
+from base_station.trackers.slam.se3 import inverse, relative
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
 from base_station.trackers.slam.types import SlamFrame, SlamStatistics
@@ -210,8 +210,8 @@ class SlamSystem:
         self._counts.tracked += 1
         self._initializer.reset()
         reference = found.reference
-        relative = orthonormal(found.cam_from_world @ inverse(self._map.poses[reference]))
-        where = _Tracked(picture.time_s, reference, relative, float(self._map.sizes[reference]))
+        from_reference = relative(found.cam_from_world, self._map.poses[reference])
+        where = _Tracked(picture.time_s, reference, from_reference, float(self._map.sizes[reference]))
         self._trajectory.append(where)
         kept = wants_keyframe(
             self.settings.keyframes,
@@ -226,13 +226,8 @@ class SlamSystem:
 
     def _share_seen(self, picture: Picture, reference: int) -> float:
         """Of the points that the reference keyframe sees surely, those that the picture sees."""
-        world = self._map
-        mine = world.point_of[reference]
-        mine = mine[mine >= 0]
-        sure = mine[world.point_alive[mine] & (world.observed[mine] >= 3)]
-        if len(sure) < self.settings.keyframes.least_matches:
-            sure = mine
-        return float(np.isin(sure, picture.point_of).mean()) if len(sure) else 0.0
+        world, least = self._map, self.settings.keyframes.least_matches
+        return share_seen(world.point_of[reference], picture.point_of, world.point_alive, world.observed, least)
 
     def _keep(self, picture: Picture, where: _Tracked) -> None:
         row, self._next_row = self._next_row, self._next_row + 1

@@ -19,7 +19,7 @@ from base_station.trackers.slam.local_map import LocalMap, local_map
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, Grid, match_everywhere, match_projections
 from base_station.trackers.slam.pose_optimization import PoseFit, optimize_pose
-from base_station.trackers.slam.se3 import camera_centers, inverse, orthonormal, pose_of, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import camera_centers, pose_of, relative, rotation_angle_rad, transform
 from base_station.trackers.slam.visibility import expect
 
 
@@ -113,12 +113,12 @@ class FrameTracker:
         """This picture is the last one now. `moving`: it followed the one before at once, so the motion is known."""
         before = self.last_pose
         if moving and before is not None:
-            self._velocity = orthonormal(found.cam_from_world @ inverse(before))
+            self._velocity = relative(found.cam_from_world, before)
         else:
             self._velocity = None
         picture.point_of = found.point_of
-        relative = found.cam_from_world @ inverse(self._map.poses[found.reference])
-        self._last = _Last(picture, found.reference, orthonormal(relative), float(self._map.sizes[found.reference]))
+        from_reference = relative(found.cam_from_world, self._map.poses[found.reference])
+        self._last = _Last(picture, found.reference, from_reference, float(self._map.sizes[found.reference]))
 
     # --- a picture's way --------------------------------------------------------------------------------------------
 
@@ -152,8 +152,7 @@ class FrameTracker:
         world, features = self._map, picture.features
         seen = picture.point_of[picture.point_of >= 0]
         around = local_map(world, seen, reference)
-        open_points = around.points[~np.isin(around.points, seen)]
-        expected = expect(world, open_points, first.cam_from_world, self._camera)
+        expected = expect(world, around.open_points, first.cam_from_world, self._camera)
         matches = match_projections(
             expected.uv_px, expected.radius_px * (3.0 if wide else 1.2), expected.octave_range,
             world.descriptors[expected.rows], features, picture.grid, ratio=0.8, taken=picture.point_of >= 0,

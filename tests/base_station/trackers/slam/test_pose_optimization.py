@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from base_station.trackers.slam.pose_optimization import optimize_pose, optimize_pose_reference
-from base_station.trackers.slam.se3 import compose, exponential, inverse, rotation_angle_rad
+from base_station.trackers.slam.se3 import compose, exponential, inverse, relative, rotation_angle_rad
 from tests.base_station.trackers.slam.scene import INTRINSICS, box_of_points, motion, project
 
 RNG = np.random.default_rng(5)
@@ -73,3 +73,14 @@ def test_exponential_and_compose_are_numpys():
     assert np.allclose(compose(one, two), one @ two, atol=1e-12)
     assert np.allclose(exponential(np.zeros(6)), np.eye(4))
     assert rotation_angle_rad(exponential(np.array([0, 0, 0, 0.3, 0.4, 0.0]))) == pytest.approx(0.5)
+
+
+def test_relative_is_numpys_product_with_a_true_rotation():
+    one, two = motion(RNG, 1.0, 1.0), motion(RNG, 2.0, 0.5)
+    assert np.allclose(relative(one, two), one @ inverse(two), atol=1e-12)
+    bent = one.copy()
+    bent[:3, :3] += RNG.normal(0, 0.03, (3, 3))
+    found = relative(bent, np.eye(4))
+    u, _, vt = np.linalg.svd(bent[:3, :3])
+    assert np.allclose(found[:3, :3], u @ vt, atol=1e-9)
+    assert np.array_equal(found[:, 3], one[:, 3])

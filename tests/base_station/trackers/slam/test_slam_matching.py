@@ -67,6 +67,18 @@ def test_projections_match_as_a_plain_search_does():
     assert 50 < len(owners) < m
 
 
+def test_a_grids_cells_hold_what_lies_in_them():
+    rng = np.random.default_rng(9)
+    xy = rng.uniform([-30, -30], [680, 520], (500, 2)).astype(np.float32)
+    grid = Grid.of(xy, BOUNDS)
+    assert (grid.columns, grid.rows) == (40, 30)
+    column = np.clip(xy[:, 0] // 16, 0, 39).astype(int)
+    row = np.clip(xy[:, 1] // 16, 0, 29).astype(int)
+    cell = column + 40 * row
+    assert np.array_equal(grid.order, np.argsort(cell, kind="stable"))
+    assert np.array_equal(np.diff(grid.start), np.bincount(cell, minlength=1200))
+
+
 def test_everywhere_finds_all_despite_noise_and_refuses_the_unknown():
     rng = np.random.default_rng(2)
     looks = random_looks(rng, 300)
