@@ -21,10 +21,10 @@ MARKER_SHARE = 0.7
 RIM_M = 0.005
 """White, around the squares."""
 SHEET_M = (COLUMNS * SQUARE_M + 2 * RIM_M, ROWS * SQUARE_M + 2 * RIM_M)
-HOLD_S, MOVE_S = 0.35, 0.25
+HOLD_S, MOVE_S = 0.3, 0.2
 
 _PX_A_M = 8000
-_ROUNDS = 2
+_ROUNDS = 3
 """Visits to each part of the picture; then it all begins anew."""
 _TILTS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """About the vertical and the horizontal."""
@@ -73,7 +73,7 @@ def draw_showing(rng: np.random.Generator) -> Showing:
     for turn in range(_ROUNDS):
         for number in rng.permutation(len(parts)).tolist():
             across, down = parts[number]
-            far = turn > 0 and down <= 0
+            far = turn == 1 and down <= 0
             depth_m = float(rng.uniform(*(_FAR_M if far else _NEAR_M)))
             reach = (0.62 if far else 0.5) * tangent * depth_m
             left_m = -across * reach * float(rng.uniform(0.95, 1.05))
