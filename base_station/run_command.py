@@ -23,7 +23,7 @@ from tyro.conf import arg
 
 from base_station.behaviours.base import Outcome
 from base_station.behaviours.registry import check_behaviour
-from base_station.calibration.camera_file import read_camera
+from base_station.calibration.camera_file import named_camera
 from base_station.configuration import as_toml
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import check_console, open_console
@@ -228,7 +228,7 @@ def _link_settings(run: Run) -> LinkSettings:
         height=run.height,
         signed_peer=run.signed_peer,
         rows=run.rows,
-        camera=read_camera(run.camera) if run.camera is not None else None,
+        camera=named_camera(run.camera) if run.camera is not None else None,
     )
 
 

@@ -17,7 +17,7 @@ def camera_text(path: Path) -> str:
             raise StationError(f"{path} is too large for a camera's settings.")
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise StationError(f"{path} cannot be read ({error.strerror}).", usage=True) from error
+        raise StationError(f"{path} cannot be read ({error.strerror}).") from error
 
 
 def read_camera(path: Path) -> CameraFile:
@@ -25,7 +25,15 @@ def read_camera(path: Path) -> CameraFile:
     try:
         return read_camera_file(camera_text(path))
     except ProtocolError as error:
-        raise StationError(f"{path}: {error}.", usage=True) from error
+        raise StationError(f"{path}: {error}.") from error
+
+
+def named_camera(path: Path) -> CameraFile:
+    """The file that a flag names: what is wrong with it is a mistake of usage. Raises StationError."""
+    try:
+        return read_camera(path)
+    except StationError as error:
+        raise StationError(f"--camera {error}", usage=True) from error
 
 
 def camera_of(file: CameraFile, frames: FrameFormat) -> PinholeCamera:

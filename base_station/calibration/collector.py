@@ -28,7 +28,7 @@ class CollectorSettings:
     """Widest edges that are sharp enough."""
     new: float = 0.10
     """How differently from every view before the board must be held, by `BoardView.held`."""
-    least_views: int = 15
+    least_views: int = 20
     most_views: int = 60
     least_coverage: float = 0.85
     """Share of the picture's cells in which a corner was seen."""
@@ -62,7 +62,7 @@ class Collector:
         """Keep this view or not. `view`: None when no board was found."""
         before, self._before = self._before, view
         if view is None:
-            return Verdict(False, "no board in view")
+            return Verdict(False, "no board in view, or too blurred to be found")
         if self.settings.still_px is not None and not self._still(before, view):
             return Verdict(False, "hold still")
         if view.edge_px > self.settings.sharp_px:
@@ -122,6 +122,7 @@ class Collector:
         empty = self.coverage == 0
         rows, columns = np.array_split(np.arange(GRID[1]), 3), np.array_split(np.arange(GRID[0]), 3)
         shares = np.array([[empty[np.ix_(r, c)].mean() for c in columns] for r in rows])
+        shares += 0.01 * np.array([(1, 0, 1), (0, -1, 0), (1, 0, 1)])  # of two that are as empty, the outer one
         row, column = np.unravel_index(int(shares.argmax()), shares.shape)
         across, down = ("left", "", "right")[column], ("upper", "", "lower")[row]
         if not across and not down:

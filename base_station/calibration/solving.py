@@ -26,7 +26,7 @@ FINE_RMS_PX = 0.1
 """No view is bad that fits this well."""
 POOR_RMS_PX = 1.0
 UNSURE = 0.01
-"""Of a focal length: a standard deviation that is worth a warning."""
+"""Of a focal length, and for the axis of the picture's longer side: a standard deviation that is worth a warning."""
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
@@ -54,6 +54,8 @@ class Calibration:
         for name, value in (("fx", own.fx), ("fy", own.fy)):
             if self.deviations[name] > UNSURE * value:
                 found.append(f"{name} is known to {self.deviations[name] / value:.1%} only: tilt the board more")
+        if max(self.deviations["cx"], self.deviations["cy"]) > UNSURE * max(self.file.size or (0, 0)):
+            found.append("where the axis meets the picture (cx, cy) is hardly known: tilt the board more to all sides")
         return found
 
 
@@ -63,7 +65,7 @@ def calibrate(views: Sequence[BoardView], *, k3: bool = False) -> Calibration:
     Raises StationError when there are too few views, or they explain no camera.
     """
     if len(views) < LEAST_VIEWS:
-        raise StationError(f"There are {len(views)} views of the board; {LEAST_VIEWS} are the least, 15 are good.")
+        raise StationError(f"There are {len(views)} views of the board; {LEAST_VIEWS} are the least, 20 are good.")
     sizes = {view.size_px for view in views}
     if len(sizes) > 1:
         text = ", ".join(f"{width}x{height}" for width, height in sorted(sizes))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from robot_agent.sim import thymio
@@ -21,16 +20,15 @@ MARKER_SHARE = 0.7
 RIM_M = 0.005
 """White, around the squares."""
 SHEET_M = (COLUMNS * SQUARE_M + 2 * RIM_M, ROWS * SQUARE_M + 2 * RIM_M)
-HOLD_S, MOVE_S = 0.35, 0.25
+HOLD_S, MOVE_S = 0.3, 0.2
 
-_PX_A_M = 8000
-_ROUNDS = 2
+_ROUNDS = 3
 """Visits to each part of the picture; then it all begins anew."""
 _TILTS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """About the vertical and the horizontal."""
 _NEAR_M, _FAR_M = (0.165, 0.195), (0.24, 0.28)
-_SQUARE_ON = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Columns: the board's right, up and face (m), for a camera that looks along the world's x axis."""
+_SQUARE_ON = (0.5, 0.5, -0.5, -0.5)
+"""The quaternion of a board that looks straight at a camera that looks along the world's x axis."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def draw_showing(rng: np.random.Generator) -> Showing:
     for turn in range(_ROUNDS):
         for number in rng.permutation(len(parts)).tolist():
             across, down = parts[number]
-            far = turn > 0 and down <= 0
+            far = turn == 1 and down <= 0
             depth_m = float(rng.uniform(*(_FAR_M if far else _NEAR_M)))
             reach = (0.62 if far else 0.5) * tangent * depth_m
             left_m = -across * reach * float(rng.uniform(0.95, 1.05))
@@ -85,26 +83,22 @@ def draw_showing(rng: np.random.Generator) -> Showing:
     return Showing(positions_m=np.array(positions), quaternions=np.array(quaternions))
 
 
-def sheet() -> np.ndarray:
-    """The printed sheet, uint8 (height, width): 14 black, 241 white, as all textures leave room for noise."""
-    square_px, rim_px = round(SQUARE_M * _PX_A_M), round(RIM_M * _PX_A_M)
-    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
-    board = cv2.aruco.CharucoBoard((COLUMNS, ROWS), SQUARE_M, SQUARE_M * MARKER_SHARE, markers)
-    drawn = board.generateImage((COLUMNS * square_px, ROWS * square_px), marginSize=0, borderBits=1)
-    whole = cv2.copyMakeBorder(drawn, rim_px, rim_px, rim_px, rim_px, cv2.BORDER_CONSTANT, value=255)
-    return np.where(whole > 127, 241, 14).astype(np.uint8)
-
-
 def _quaternion(turned_rad: float, tipped_rad: float, rolled_rad: float) -> tuple[float, ...]:
-    """Of a board held before the camera and turned about the vertical, tipped about the horizontal, rolled."""
-    rotation = _about(2, turned_rad) @ _about(1, tipped_rad) @ _about(0, rolled_rad) @ _SQUARE_ON
-    axis_angle, _ = cv2.Rodrigues(rotation)
-    angle_rad = float(np.linalg.norm(axis_angle))
-    x, y, z = (axis_angle.ravel() / max(angle_rad, 1e-12) * math.sin(angle_rad / 2)).tolist()
-    return math.cos(angle_rad / 2), x, y, z
+    """Of a board held before the camera, rolled, then tipped about the horizontal, then turned about the vertical."""
+    turned, tipped, rolled = (
+        (math.cos(angle / 2), *(math.sin(angle / 2) * (axis == k) for k in (0, 1, 2)))
+        for axis, angle in ((2, turned_rad), (1, tipped_rad), (0, rolled_rad))
+    )
+    return _times(turned, _times(tipped, _times(rolled, _SQUARE_ON)))
 
 
-def _about(axis: int, angle_rad: float) -> np.ndarray:
-    vector = np.zeros(3)
-    vector[axis] = angle_rad
-    return np.asarray(cv2.Rodrigues(vector)[0])
+def _times(left: tuple[float, ...], right: tuple[float, ...]) -> tuple[float, ...]:
+    """Product of two quaternions: the rotation `right`, then `left`."""
+    a, b, c, d = left
+    w, x, y, z = right
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )

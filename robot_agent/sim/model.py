@@ -94,7 +94,7 @@ def _images(stage: scenarios.Stage, rng: np.random.Generator) -> dict[str, np.nd
         images |= {"mirrored": mirrored(images["picture"]), "exchanged": exchanged(images["picture"])}
         images["board"] = textures.texture(rng, *_PICTURE_PX, textures.BOARD)
     if stage.board is not None:
-        images["calibration"] = calibration_board.sheet()
+        images["calibration"] = textures.calibration_sheet()
     return images
 
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from robot_agent.sim import calibration_board as board
+
 
 @dataclass(frozen=True, kw_only=True)
 class TextureStyle:
@@ -32,6 +34,7 @@ BUSY_WALL = TextureStyle(shapes=1500, smallest=0.012, largest=0.20, contrast=55.
 BOARD = TextureStyle(shapes=60, smallest=0.05, largest=0.30, contrast=50.0)
 PICTURE = TextureStyle(shapes=26, smallest=0.06, largest=0.30, contrast=45.0)
 
+_SHEET_PX_A_M = 8000
 _DARKEST, _LIGHTEST = 14, 241
 """Noise must not saturate at the ends of the scale."""
 
@@ -58,6 +61,17 @@ def texture(rng: np.random.Generator, height: int, width: int, style: TextureSty
     grain = np.clip(128.0 + noise, 0, 255).astype(np.uint8)
     mixed = cv2.addWeighted(image, 0.85, grain, 0.15, 0.0)
     return np.clip(mixed, _DARKEST, _LIGHTEST)
+
+
+def calibration_sheet() -> np.ndarray:
+    """The printed sheet of the simulated calibration board, black and white as far as noise leaves room."""
+    square_px, rim_px = (round(side * _SHEET_PX_A_M) for side in (board.SQUARE_M, board.RIM_M))
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    size = (board.COLUMNS, board.ROWS)
+    printed = cv2.aruco.CharucoBoard(size, board.SQUARE_M, board.SQUARE_M * board.MARKER_SHARE, markers)
+    drawn = printed.generateImage((board.COLUMNS * square_px, board.ROWS * square_px), marginSize=0, borderBits=1)
+    whole = cv2.copyMakeBorder(drawn, rim_px, rim_px, rim_px, rim_px, cv2.BORDER_CONSTANT, value=255)
+    return np.where(whole > 127, _LIGHTEST, _DARKEST).astype(np.uint8)
 
 
 def plain(gray: int) -> np.ndarray:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+import cv2
+import numpy as np
 import pytest
 
 from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
@@ -47,3 +50,15 @@ def test_a_row_has_the_same_elevation_in_a_band_as_in_the_whole_picture():
     for row in (0, 10.5, 63):
         assert band.elevation_rad(row) == whole.elevation_rad(200 + row)
         assert band.bearing_rad(row) == whole.bearing_rad(row)
+
+
+@pytest.mark.parametrize("distortion", [(-0.28, 0.09, 0.001, -0.0008), (0.12, -0.05, 0.0, 0.002, 0.01)])
+def test_a_calibrated_lens_bends_directions(distortion):
+    """As OpenCV has it: what an ideal pinhole sees in a direction, the lens shows elsewhere."""
+    camera = dataclasses.replace(CAMERA, distortion=distortion)
+    for angle_rad in (-0.5, -0.2, 0.0, 0.1, 0.5):
+        for ray, pixel in (((-math.tan(angle_rad), 0, 1), 0), ((0, -math.tan(angle_rad), 1), 1)):
+            matrix = np.array([[500.0, 0, 319.5], [0, 400.0, 239.5], [0, 0, 1]])
+            seen, _ = cv2.projectPoints(np.array([ray]), np.zeros(3), np.zeros(3), matrix, np.array(distortion))
+            found = (camera.bearing_rad, camera.elevation_rad)[pixel](float(seen[0, 0, pixel]))
+            assert found == pytest.approx(angle_rad, abs=1e-6)

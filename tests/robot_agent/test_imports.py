@@ -27,3 +27,10 @@ def test_everything_but_the_simulated_worlds_loads() -> None:
     finished = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert finished.returncode == 0, finished.stderr
     assert finished.stdout.split() == []
+
+
+def test_the_command_line_loads_no_opencv() -> None:
+    """Debian's takes 130 MiB: only cameras and recordings that need it load it."""
+    code = "import sys, robot_agent.cli\nprint('cv2' in sys.modules)"
+    finished = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert finished.stdout == "False\n", finished.stderr

@@ -8,6 +8,7 @@ by them.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -104,8 +105,7 @@ def result_of(
         heading = cam_from_learned[:3, 2]  # where the learned camera looked, in this one's coordinates
         x, y, depth = (float(value) for value in heading)
         ahead = depth > NEAREST_DEPTH
-    column = camera.cx + camera.fx * x / depth if ahead else None
-    row = camera.cy + camera.fy * y / depth if ahead else None
+    column, row = _pixel((x, y, depth), camera) if ahead else (None, None)
     there = (camera.cx, camera.cy) if learned.is_place else _pixel(target.center, camera)
     box = None
     if not learned.is_place and column is not None and row is not None and zoom is not None:
@@ -132,9 +132,18 @@ def heading_of(target: MapTarget, world: Map, cam_from_world: np.ndarray) -> flo
     return -math.atan2(float(cam_from_learned[0, 2]), float(cam_from_learned[2, 2]))
 
 
-def _pixel(point: np.ndarray, camera: PinholeCamera) -> tuple[float, float]:
+def _pixel(point: Iterable[float], camera: PinholeCamera) -> tuple[float, float]:
+    """Where the picture shows a point of the camera's coordinates. Well outside of it as an ideal pinhole would: there
+    a lens's polynomial says nothing."""
     x, y, depth = (float(value) for value in point)
-    return camera.cx + camera.fx * x / depth, camera.cy + camera.fy * y / depth
+    column, row = camera.cx + camera.fx * x / depth, camera.cy + camera.fy * y / depth
+    if not any(camera.distortion):
+        return column, row
+    lens = SlamCamera.of(camera)
+    left, top, right, bottom = lens.bounds_px
+    if left <= column <= right and top <= row <= bottom:
+        column, row = lens.distort(np.array([(column, row)]))[0].tolist()
+    return column, row
 
 
 def _view_angle_rad(target: MapTarget, world: Map, cam_from_learned: np.ndarray) -> float:

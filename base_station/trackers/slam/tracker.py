@@ -60,6 +60,7 @@ class SlamTracker(PatchTracker):
         self._slam: SlamSystem | None = None
         self._camera: SlamCamera | None = None
         self._extract: Callable[[np.ndarray], Features]
+        self._shown_at: Callable[[np.ndarray], np.ndarray]
         self._features: Features | None = None
         self._in_box: np.ndarray = np.empty(0, np.bool_)
         self._learned_center = (0.0, 0.0)
@@ -83,7 +84,7 @@ class SlamTracker(PatchTracker):
             slam = SlamSystem(
                 camera, settings=self._settings, single_process=self._single_process, mapper_at_once=False
             )
-        self._extract = slam.features_of
+        self._extract, self._shown_at = slam.features_of, camera.distort
         try:
             super().learn(frame, target)
         except ValueError:
@@ -99,7 +100,7 @@ class SlamTracker(PatchTracker):
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
         features = self._extract(image)
         half_px = np.array(learned.shape[::-1]) / 2
-        in_box = np.all(np.abs(features.xy_px - learned.center_px) <= half_px, axis=1)
+        in_box = np.all(np.abs(self._shown_at(features.xy_px) - learned.center_px) <= half_px, axis=1)
         if int(in_box.sum()) < LEAST_INLIERS:
             raise ValueError(f"featureless: fewer than {LEAST_INLIERS} ORB corners")
         self._features, self._in_box, self._learned_center = features, in_box, learned.center_px

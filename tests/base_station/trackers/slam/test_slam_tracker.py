@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -77,6 +79,28 @@ def test_a_target_out_of_sight_keeps_its_bearing(seen):
     assert true_bearing_rad(turned) > 0.6  # beyond the left border
     assert result.bearing_rad == pytest.approx(true_bearing_rad(turned), abs=0.045)
     assert result.box is None or result.box.clipped(320, 240) is not None
+
+
+def test_a_calibrated_lens_is_taken_into_account():
+    """Near the rim of a lens that bends by 8 px: bearing and box are right (without the lens 0.02 rad off)."""
+    distortion = (-0.25, 0.08, 0.0, 0.0)
+    lens, camera = (dataclasses.replace(one, distortion=distortion) for one in (CAMERA, PINHOLE))
+    bent = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), axis=-1).astype(np.float32)
+    straight = lens.undistort(bent.reshape(-1, 2)).reshape(bent.shape)
+    tracker = SlamTracker(settings=SlamSettings(features=FeatureSettings(count=600)), single_process=True)
+    for k in range(-1, 6):
+        pose = START if k < 0 else path(k)
+        image = cv2.remap(ROOM.picture(pose), straight, None, cv2.INTER_LINEAR)
+        shown = Frame(image=image, number=k + 2, time_s=(k + 2) / 30, camera=camera)
+        if k < 0:
+            tracker.learn(shown, Box.around(*lens.distort(np.array([[285.0, 120.0]]))[0], 70, 100))
+            continue
+        result = tracker.update(shown)
+        x, y, z = pose[:3, :3].T @ (on_the_wall(285, 120) - pose[:3, 3])
+        there = lens.distort(np.array([[CAMERA.cx + CAMERA.fx * x / z, CAMERA.cy + CAMERA.fy * y / z]]))[0]
+        assert result.bearing_rad == pytest.approx(-math.atan2(x, z), abs=0.005)
+        assert result.box is not None and result.box.center_px == pytest.approx(there, abs=2.0)
+    tracker.close()
 
 
 def test_a_frame_that_is_not_its_cameras_is_refused():
