@@ -5,9 +5,11 @@ frames, and no robot.
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 from threadpoolctl import threadpool_limits
@@ -18,7 +20,8 @@ from base_station.recording.sources import Shown, Source
 from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import make_tracker
-from base_station.watcher import Kit, Watcher
+from base_station.types import Frame, TrackerResult
+from base_station.watcher import Kit, Sighting, Watcher
 from protocol import STOP
 
 Kits = Callable[[str], Kit]
@@ -70,7 +73,7 @@ def replay(
             if shown.frame is None:
                 continue
             pace.wait(shown.frame.time_s)
-            seen = watcher.look(shown.frame)
+            seen, shadow_result = _looked(watcher, shown.frame)
             new = watcher.complaint and watcher.complaint != complaint
             notices = (f"cannot learn this target: {watcher.complaint}",) if new else ()
             complaint = watcher.complaint
@@ -78,7 +81,7 @@ def replay(
             step = Step(
                 frame=shown.frame,
                 result=seen.result,
-                shadow=watcher.look_in_shadow(shown.frame, seen),
+                shadow=shadow_result,
                 command=recorded.command if recorded is not None else STOP,
                 pan_rad=recorded.pan_rad if recorded is not None else None,
                 learned=seen.learned,
@@ -91,6 +94,20 @@ def replay(
                 notices=notices,
             )
             yield Replayed(place=place, step=step, shown=shown)
+
+
+def _looked(watcher: Watcher, frame: Frame) -> tuple[Sighting, TrackerResult | None]:
+    try:
+        seen = watcher.look(frame)
+        return seen, watcher.look_in_shadow(frame, seen)
+    except StationError:
+        raise
+    except Exception as error:  # a tracker of the user's own may fail in any way
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise StationError(
+            f"The tracker failed at frame {frame.number}: {type(error).__name__}: {error} "
+            f"({Path(place.filename).name}, line {place.lineno})."
+        ) from error
 
 
 @contextmanager

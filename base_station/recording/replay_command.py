@@ -78,7 +78,7 @@ class _Rows:
         self.now, self.then = Series(name=""), Series(name="recorded")
 
     def note(self, replayed: Replayed, shadow: bool) -> None:
-        step, recorded = replayed.step, replayed.shown.recorded
+        step, recorded = replayed.step, replayed.shown.recorded if replayed.shown.comparable else None
         result, name = (step.shadow, step.shadow_tracker) if shadow else (step.result, step.tracker)
         at = replayed.place, step.frame.time_s
         if result is not None:
@@ -96,8 +96,8 @@ def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[
     speed = _check(command)
     target = parse_box(command.target) if command.target is not None else None
     source = open_source(command.source, target=target, width=command.width)
-    if command.same and not isinstance(source, RecordedRun):
-        raise StationError("--same needs a recording to compare with (FILE.mcap).", usage=True)
+    if command.same and (not isinstance(source, RecordedRun) or target is not None):
+        raise StationError("--same needs a recording (FILE.mcap) and its own target to compare with.", usage=True)
     plan = planned(source, command.tracker, command.shadow)
     steering, shadowing = _Rows(), _Rows()
     with ExitStack() as stack:
@@ -125,7 +125,7 @@ def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[
     if command.picture is not None:
         shown = [series for series in (steering.now, shadowing.now, steering.then) if series.places]
         plot_series(command.picture, source.name, shown, known.truth)
-    if command.same and not all(one is None or one.identical for one in against):
+    if command.same and not (against[0] is not None and all(one is None or one.identical for one in against)):
         raise StationError(f"The results are not those that were recorded{_why(source)}.")
 
 
