@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -32,6 +33,7 @@ MEASURES = (
     "compass_rad",
 )  # fmt: skip
 LONGEST_TEXT = 4096
+LARGEST = sys.float_info.max
 MOST_ORDERS = 10_000
 
 Json = dict[str, Any]
@@ -168,7 +170,8 @@ def maybe_number(fields: Mapping[str, Any], name: str) -> float | None:
     value = fields.get(name)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
+    if not known:
         raise StationError(f"{name} is {value!r:.40}, not a number")
     return float(value)
 
