@@ -114,17 +114,38 @@ def test_bands_of_rows_are_replayed_the_same(programs: Programs, port: int, fold
     assert cli.main(["replay", str(run), "--same"]) == 0
 
 
-def test_slam_repeats_itself_in_a_replay(folder: Path, drawn: Path):
+def layered_pictures(folder: Path, count: int) -> Path:
+    """What a camera sees that moves sideways past six walls, the lower the nearer: enough for a map."""
+    chance = np.random.default_rng(1)
+    walls = []
+    for px_per_frame in (1.0, 1.6, 2.4, 3.2, 4.2, 5.2):
+        wall = np.full((40, 960), 120, np.uint8)
+        for x, y, side, gray in chance.integers((0, 0, 3, 0), (960, 40, 14, 256), (250, 4)).tolist():
+            cv2.rectangle(wall, (x, y), (x + side, y + side), gray, -1)
+        walls.append((wall, px_per_frame))
+    folder.mkdir()
+    for number in range(count):
+        moves = [np.array([[1, 0, -step * number], [0, 1, 0]], np.float32) for _, step in walls]
+        rows = [cv2.warpAffine(wall, move, (320, 40)) for (wall, _), move in zip(walls, moves, strict=True)]
+        assert cv2.imwrite(str(folder / f"{number:03d}.png"), np.vstack(rows))
+    return folder
+
+
+def test_slam_repeats_itself_in_a_replay_with_every_pose(folder: Path):
     """In a replay it maps within the frame; live its mapper is another process, and its time is not repeated."""
-    first, again = folder / "first.mcap", folder / "again.mcap"
-    assert cli.main(["replay", str(drawn), "--tracker", "slam", "--max-frames", "15", "--record", str(first)]) == 0
-    assert cli.main(["replay", str(first), "--same", "--record", str(again)]) == 0
-    results = [[step.result.shift_px for step in Recording(path)] for path in (first, again)]
-    assert len(results[0]) == 15
-    assert results[0] == results[1]
+    pictures, first = layered_pictures(folder / "walls", 25), folder / "first.mcap"
+    assert cli.main(["replay", str(pictures), "--tracker", "slam", "--record", str(first)]) == 0
+    steps = list(Recording(first))
+    assert len(steps) == 25
+    assert sum(step.result.cam_from_world is not None for step in steps) >= 10
+    assert cli.main(["replay", str(first), "--same"]) == 0
+    assert cli.main(["export", str(first), str(folder / "tum")]) == 0
+    assert len((folder / "tum" / "trajectory.txt").read_text().splitlines()) >= 10
 
 
-def test_recordings_are_compared_and_exported(programs: Programs, port: int, folder: Path, capsys):
+def test_recordings_are_compared_and_exported(
+    programs: Programs, port: int, folder: Path, capsys: pytest.CaptureFixture[str]
+):
     run = folder / "run.mcap"
     programs.sim(port, "--rhythm", "lockstep", "--scenario", "leader")
     station = programs.station(
@@ -168,7 +189,7 @@ def exported_as_recorded(folder: Path, recording: Recording) -> None:
     assert np.allclose(place[:2, 2], [np.cos(truth.robot[2]), np.sin(truth.robot[2])], atol=1e-7)
 
 
-def test_a_video_of_ones_own_is_replayed(folder: Path, drawn: Path, capsys):
+def test_a_video_of_ones_own_is_replayed(folder: Path, drawn: Path, capsys: pytest.CaptureFixture[str]):
     seen, results = folder / "seen.mp4", folder / "results.csv"
     arguments = ["--target", "100,60,100,100", "--video", str(seen), "--results", str(results)]
     assert cli.main(["replay", str(drawn), *arguments]) == 0
