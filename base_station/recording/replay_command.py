@@ -21,7 +21,7 @@ from base_station.recording.agreement import Agreement, agreement
 from base_station.recording.planning import kits_of, planned
 from base_station.recording.plot import check_picture, plot_series
 from base_station.recording.recorder import Recorder
-from base_station.recording.replay import Replayed, ReplayPlan, one_thread, replay
+from base_station.recording.replay import Replayed, ReplayedRobot, ReplayPlan, one_thread, replay
 from base_station.recording.series import Series, TrackerFigures, figures, paired
 from base_station.recording.session import told_of
 from base_station.recording.sources import RecordedRun, Source, open_source
@@ -91,8 +91,12 @@ class _Rows:
             self.then.add(*at, earlier, seconds=took_s, learned=recorded.learned)
 
 
-def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[Step], None]] = ()) -> None:
-    """Do it, print, write; `observers` are told of every step. Raises StationError."""
+Watch = Callable[[ExitStack, ReplayedRobot], Sequence[Callable[[Step], None]]]
+"""Opens what watches a replay, for as long as the stack lasts; returns whom to tell of every step."""
+
+
+def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, robot: ()) -> None:
+    """Do it, print, write. Raises StationError."""
     speed = _check(command)
     target = parse_box(command.target) if command.target is not None else None
     source = open_source(command.source, target=target, width=command.width)
@@ -102,8 +106,10 @@ def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[
     steering, shadowing = _Rows(), _Rows()
     with ExitStack() as stack:
         stack.enter_context(one_thread())
-        watching = [*observers, *_observers(command, plan, source, stack)]
+        robot = ReplayedRobot(source)
+        watching = [*_observers(command, plan, source, stack), *watch(stack, robot)]
         for replayed in replay(source, plan, kits_of(source, command.memory), speed=speed):
+            robot.tracker = replayed.tracker
             steering.note(replayed, shadow=False)
             shadowing.note(replayed, shadow=True)
             for observer in watching:

@@ -14,12 +14,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
 from base_station import cli
 from base_station.kits import KitMaker
@@ -29,6 +30,8 @@ from base_station.orders import Order
 from base_station.recording.foxglove_file import NS_PER_S
 from base_station.recording.reader import Recording
 from base_station.recording.recorder import Recorder
+from base_station.recording.replay import ReplayedRobot
+from base_station.recording.replay_command import Replay, replay_run
 from base_station.station import Station, StationSettings, Step
 from base_station.types import Box
 from tests.helpers import Program, Programs, numbered_picture, wait_until
@@ -63,7 +66,7 @@ def operate(port: int, path: Path) -> list[Step]:
         60: [Order(kind="drive", forward=0.5, left=0.3), Order(kind="shadow")],
         75: [Order.learn(None), Order(kind="behaviour", name="idle")],
     }
-    link = Link(LinkSettings(port=port))
+    link = Link(LinkSettings(port=port), on_telemetry=lambda telemetry: recorder.note_telemetry(telemetry))
     make = KitMaker(memory=DEFAULT_MEMORY)
     settings = StationSettings(max_frames=110)
     run = {"options": {"tracker": "ztransform"}}
@@ -99,8 +102,28 @@ def test_a_replay_gives_the_same_results_bit_for_bit(programs: Programs, port: i
     told = json.loads((folder / "same.json").read_text())
     assert [one["identical"] for one in told["against_recorded"]] == [True, True]
     assert told["against_recorded"][0]["frames"] == 110
+    watch_the_replay(folder / "run.mcap", steps)
     # And it would be noticed if they were not the same.
     assert cli.main(["replay", str(folder / "run.mcap"), "--same", "--tracker", "phase"]) == 1
+
+
+def watch_the_replay(path: Path, steps: list[Step]) -> None:
+    """Whoever watches a replay is told of the same steps, and how the robot stood."""
+    told: list[Step] = []
+    robots = []
+
+    def watch(stack: contextlib.ExitStack, robot: ReplayedRobot) -> list[Callable[[Step], None]]:
+        stack.callback(lambda: robots.append((robot.state, robot.hello, robot.telemetry, robot.tracker)))
+        return [told.append]
+
+    replay_run(Replay(source=path), Console(), watch)
+    names = ("tracker", "shadow_tracker", "behaviour", "command", "learned", "orders", "pan_rad")
+    for name in names:
+        assert [getattr(step, name) for step in told] == [getattr(step, name) for step in steps], name
+    ((state, hello, telemetry, tracker),) = robots
+    assert state == "replay of run" and tracker is not None
+    assert hello is not None and hello.rhythm == "lockstep" and hello.scenario is not None
+    assert telemetry is not None and telemetry.wheels_measured is not None
 
 
 def test_bands_of_rows_are_replayed_the_same(programs: Programs, port: int, folder: Path):

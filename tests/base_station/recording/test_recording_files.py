@@ -130,10 +130,13 @@ def test_a_band_of_rows_keeps_its_place(tmp_path: Path):
 def test_the_truth_is_found_whether_it_comes_before_its_frame_or_after(tmp_path: Path):
     made = Recorder(tmp_path / "run.mcap", raw=True)
 
+    def stamp_of(number: int) -> FrameStamp:
+        return FrameStamp(connection=1, number=number, capture_s=1.0, dropped=0, rows=(3, 9))
+
     def tell(number: int) -> None:
         truth = Truth(robot=(number, 2.0, 0.5), bearing_rad=0.1, range_m=0.4, in_view=True)
-        stamp = FrameStamp(connection=1, number=number, capture_s=1.0, dropped=0)
-        made.note_telemetry(Telemetry(sequence=1, monotonic_s=1, wall_s=2, frame=stamp, station="here:1", truth=truth))
+        told = Telemetry(sequence=1, monotonic_s=1, wall_s=2, frame=stamp_of(number), station="here:1", truth=truth)
+        made.note_telemetry(told)
 
     tell(1)
     made.note_step(a_step(1))
@@ -142,6 +145,7 @@ def test_the_truth_is_found_whether_it_comes_before_its_frame_or_after(tmp_path:
     made.close()
     recording = Recording(made.path)
     assert len(list(recording)) == 2
+    assert recording.telemetry is not None and recording.telemetry.frame == stamp_of(2)
     assert {key: truth.robot[0] for key, truth in recording.truths.items()} == {("here:1", 1): 1, ("here:1", 2): 2}
 
 
