@@ -131,7 +131,7 @@ def _run(
         step, earlier = replayed.step, replayed.shown.recorded
         at = replayed.place, step.frame.time_s
         series.add(*at, step.result, seconds=step.tracker_s, learned=step.learned)
-        if recorded is not None and earlier is not None:
+        if recorded is not None and earlier is not None and replayed.shown.comparable:
             recorded.add(*at, earlier.result, seconds=earlier.tracker_s, learned=earlier.learned)
         progress.advance(task)
     return series

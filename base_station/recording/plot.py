@@ -60,7 +60,7 @@ def plot_series(path: Path, title: str, rows: Sequence[Series], truth: Mapping[i
         for panel in panels[:4]:
             panel.tick_params(labelbottom=False)
         handles = {label: handle for panel in panels[:4] for handle, label in _named(panel)}
-        figure.legend(handles.values(), handles.keys(), loc="outside upper right", ncols=min(5, len(handles)))
+        figure.legend(handles.values(), handles.keys(), loc="outside upper right", ncols=min(7, len(handles)))
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
 
     try:

@@ -18,7 +18,7 @@ from base_station.orders import Order
 from base_station.recording import protobuf, topics
 from base_station.recording.mcap_file import McapFile, Message, Metadata
 from base_station.types import Frame, TrackerResult
-from protocol import Command, Truth
+from protocol import Command, Hello, Telemetry, Truth
 
 LONGEST_SIDE_PX = 8192
 MOST_NUMBER = 1 << 40
@@ -48,7 +48,7 @@ class RecordedStep:
 
 
 class Recording:
-    """Iterate it, as often as you like. `truths`, `odometry`, `notes` are those of what was read until then.
+    """Iterate it, as often as you like. `truths`, `odometry`, `notes`, `telemetry`, `hello`: of what was read so far.
 
     Raises StationError when the file cannot be read or holds something else than a run of the station.
     """
@@ -61,6 +61,10 @@ class Recording:
         """World from robot (4x4) by the wheels, with nanoseconds since 1970."""
         self.notes: list[str] = []
         """What is wrong with the file, for a person."""
+        self.telemetry: Telemetry | None = None
+        """The newest that was read."""
+        self.hello: Hello | None = None
+        """What the robot last said of itself."""
         self._file = McapFile(path)
         told = self._told()
         self.raw = told.get("raw") == "true"
@@ -86,12 +90,14 @@ class Recording:
 
     def __iter__(self) -> Iterator[RecordedStep]:
         self.truths, self.odometry, self.notes = {}, [], []
+        self.telemetry = self.hello = None
         gathered = _Gathered()
         count = 0
         for entry in self._file:
-            if isinstance(entry, Metadata):
-                continue
             try:
+                if isinstance(entry, Metadata):
+                    self._note(entry)
+                    continue
                 step = self._take(gathered, entry)
             except StationError as error:
                 raise StationError(f"{self.path}, after {count} frames: {error}.") from error
@@ -111,6 +117,10 @@ class Recording:
                 return entry.fields
         raise StationError(f"{self.path} is no recording of `base-station run --record`.", usage=True)
 
+    def _note(self, metadata: Metadata) -> None:
+        if metadata.name == topics.HELLO:
+            self.hello = topics.record_of(Hello, _json_object(metadata.fields.get("hello", "")))
+
     def _take(self, gathered: _Gathered, message: Message) -> RecordedStep | None:
         """The step that this message is the last of."""
         topic, data = message.topic, message.data
@@ -120,6 +130,8 @@ class Recording:
             gathered.picture = data
         elif topic == topics.ODOMETRY_POSE:
             self.odometry.append((message.log_ns, _pose(data)))
+        elif topic == topics.TELEMETRY:
+            self.telemetry = topics.record_of(Telemetry, topics.loads(topic, data))
         elif topic in (topics.ORDERS, topics.TRACKER, topics.SHADOW, topics.TRUTH, topics.STEP):
             fields = topics.loads(topic, data)
             if topic == topics.ORDERS:

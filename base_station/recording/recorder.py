@@ -119,7 +119,7 @@ class Recorder:
         driven = self._driven(step.frame)
         with self._changed:
             if self._patient:
-                self._changed.wait_for(lambda: self._queued_bytes + size <= MOST_QUEUED_BYTES // 4 or self._over)
+                self._changed.wait_for(lambda: self._queued_bytes <= MOST_QUEUED_BYTES // 4 or self._over)
             full = len(self._queue) >= MOST_QUEUED
             keeps = not full and (not self._queued_bytes or self._queued_bytes + size <= MOST_QUEUED_BYTES)
             if full:
@@ -144,8 +144,8 @@ class Recorder:
         heard = _Heard(telemetry, self._newest_s if stepped else time.monotonic())
         with self._changed:
             if len(self._queue) < MOST_QUEUED:
+                # Wakes nobody: it comes just before a frame, and the loop needs Python's lock then.
                 self._queue.append(heard)
-                self._changed.notify()
 
     def close(self) -> None:
         """Write what is queued and end the file."""

@@ -5,24 +5,47 @@ frames, and no robot.
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 from threadpoolctl import threadpool_limits
 
 from base_station.errors import StationError
 from base_station.orders import Order
-from base_station.recording.sources import Shown, Source
+from base_station.recording.reader import Recording
+from base_station.recording.sources import RecordedRun, Shown, Source
 from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import make_tracker
-from base_station.watcher import Kit, Watcher
-from protocol import STOP
+from base_station.types import Frame, TrackerResult
+from base_station.watcher import Kit, Sighting, Watcher
+from protocol import STOP, Hello, Telemetry
 
 Kits = Callable[[str], Kit]
 """A tracker by its name. Raises ValueError, StationError."""
+
+
+class ReplayedRobot:
+    """How the robot stood when the frame was taken that is replayed now: to whoever shows it, as a `Link` is."""
+
+    def __init__(self, source: Source) -> None:
+        self._recording: Recording | None = source.recording if isinstance(source, RecordedRun) else None
+        self.state = f"replay of {source.name}"
+        self.connected = True
+        self.tracker: Tracker | None = None
+        """That steers now; None before the first frame."""
+
+    @property
+    def telemetry(self) -> Telemetry | None:
+        return self._recording.telemetry if self._recording is not None else None
+
+    @property
+    def hello(self) -> Hello | None:
+        return self._recording.hello if self._recording is not None else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,11 +63,12 @@ class ReplayPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """One frame of a replay. `place`: in the source, from 0."""
+    """One frame of a replay. `place`: in the source, from 0. `tracker`: the one that steered."""
 
     place: int
     step: Step
     shown: Shown
+    tracker: Tracker
 
 
 def replay(
@@ -70,7 +94,7 @@ def replay(
             if shown.frame is None:
                 continue
             pace.wait(shown.frame.time_s)
-            seen = watcher.look(shown.frame)
+            seen, shadow_result = _looked(watcher, shown.frame)
             new = watcher.complaint and watcher.complaint != complaint
             notices = (f"cannot learn this target: {watcher.complaint}",) if new else ()
             complaint = watcher.complaint
@@ -78,7 +102,7 @@ def replay(
             step = Step(
                 frame=shown.frame,
                 result=seen.result,
-                shadow=watcher.look_in_shadow(shown.frame, seen),
+                shadow=shadow_result,
                 command=recorded.command if recorded is not None else STOP,
                 pan_rad=recorded.pan_rad if recorded is not None else None,
                 learned=seen.learned,
@@ -90,7 +114,21 @@ def replay(
                 orders=orders,
                 notices=notices,
             )
-            yield Replayed(place=place, step=step, shown=shown)
+            yield Replayed(place=place, step=step, shown=shown, tracker=watcher.tracker)
+
+
+def _looked(watcher: Watcher, frame: Frame) -> tuple[Sighting, TrackerResult | None]:
+    try:
+        seen = watcher.look(frame)
+        return seen, watcher.look_in_shadow(frame, seen)
+    except StationError:
+        raise
+    except Exception as error:  # a tracker of the user's own may fail in any way
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise StationError(
+            f"The tracker failed at frame {frame.number}: {type(error).__name__}: {error} "
+            f"({Path(place.filename).name}, line {place.lineno})."
+        ) from error
 
 
 @contextmanager

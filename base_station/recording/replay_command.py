@@ -21,7 +21,7 @@ from base_station.recording.agreement import Agreement, agreement
 from base_station.recording.planning import kits_of, planned
 from base_station.recording.plot import check_picture, plot_series
 from base_station.recording.recorder import Recorder
-from base_station.recording.replay import Replayed, ReplayPlan, one_thread, replay
+from base_station.recording.replay import Replayed, ReplayedRobot, ReplayPlan, one_thread, replay
 from base_station.recording.series import Series, TrackerFigures, figures, paired
 from base_station.recording.session import told_of
 from base_station.recording.sources import RecordedRun, Source, open_source
@@ -78,7 +78,7 @@ class _Rows:
         self.now, self.then = Series(name=""), Series(name="recorded")
 
     def note(self, replayed: Replayed, shadow: bool) -> None:
-        step, recorded = replayed.step, replayed.shown.recorded
+        step, recorded = replayed.step, replayed.shown.recorded if replayed.shown.comparable else None
         result, name = (step.shadow, step.shadow_tracker) if shadow else (step.result, step.tracker)
         at = replayed.place, step.frame.time_s
         if result is not None:
@@ -91,19 +91,25 @@ class _Rows:
             self.then.add(*at, earlier, seconds=took_s, learned=recorded.learned)
 
 
-def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[Step], None]] = ()) -> None:
-    """Do it, print, write; `observers` are told of every step. Raises StationError."""
+Watch = Callable[[ExitStack, ReplayedRobot], Sequence[Callable[[Step], None]]]
+"""Opens what watches a replay, for as long as the stack lasts; returns whom to tell of every step."""
+
+
+def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, robot: ()) -> None:
+    """Do it, print, write. Raises StationError."""
     speed = _check(command)
     target = parse_box(command.target) if command.target is not None else None
     source = open_source(command.source, target=target, width=command.width)
-    if command.same and not isinstance(source, RecordedRun):
-        raise StationError("--same needs a recording to compare with (FILE.mcap).", usage=True)
+    if command.same and (not isinstance(source, RecordedRun) or target is not None):
+        raise StationError("--same needs a recording (FILE.mcap) and its own target to compare with.", usage=True)
     plan = planned(source, command.tracker, command.shadow)
     steering, shadowing = _Rows(), _Rows()
     with ExitStack() as stack:
         stack.enter_context(one_thread())
-        watching = [*observers, *_observers(command, plan, source, stack)]
+        robot = ReplayedRobot(source)
+        watching = [*_observers(command, plan, source, stack), *watch(stack, robot)]
         for replayed in replay(source, plan, kits_of(source, command.memory), speed=speed):
+            robot.tracker = replayed.tracker
             steering.note(replayed, shadow=False)
             shadowing.note(replayed, shadow=True)
             for observer in watching:
@@ -125,7 +131,7 @@ def replay_run(command: Replay, console: Console, observers: Sequence[Callable[[
     if command.picture is not None:
         shown = [series for series in (steering.now, shadowing.now, steering.then) if series.places]
         plot_series(command.picture, source.name, shown, known.truth)
-    if command.same and not all(one is None or one.identical for one in against):
+    if command.same and not (against[0] is not None and all(one is None or one.identical for one in against)):
         raise StationError(f"The results are not those that were recorded{_why(source)}.")
 
 

@@ -32,11 +32,13 @@ RECORDING_SUFFIX = ".mcap"
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """One frame of a source. `frame`: None when its picture is missing. `recorded`: what the station made of it."""
+    """One frame of a source. `frame`: None when its picture is missing. `recorded`: what the station made of it, which
+    can be compared only if the same was learned."""
 
     frame: Frame | None
     orders: tuple[Order, ...] = ()
     recorded: RecordedStep | None = None
+    comparable: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class RecordedRun:
             self._keys.append(step.key)
             self._pans.append(step.pan_rad or 0.0)
             self._missing += step.frame is None
-            yield Shown(frame=step.frame, orders=orders, recorded=step)
+            yield Shown(frame=step.frame, orders=orders, recorded=step, comparable=self._target is None)
 
     def known(self) -> Known:
         """Bearing and zoom of the simulation's truth, from the camera's axis, since the target was learned."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+import sys
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from base_station.errors import StationError
 from base_station.orders import Order
 from base_station.station import Step
 from base_station.types import Box, TrackerResult, TrackingState
-from protocol import Truth
+from protocol import ProtocolError, Truth
+from protocol.records import from_map
 
 CAMERA, CALIBRATION = "/camera", "/camera/calibration"
 STEP, COMMAND, TRACKER, SHADOW, ORDERS = "/step", "/command", "/tracker", "/shadow", "/orders"
@@ -32,9 +34,11 @@ MEASURES = (
     "compass_rad",
 )  # fmt: skip
 LONGEST_TEXT = 4096
+LARGEST = sys.float_info.max
 MOST_ORDERS = 10_000
 
 Json = dict[str, Any]
+Record = TypeVar("Record")
 
 
 def _schema(title: str, **properties: Any) -> Json:
@@ -168,7 +172,8 @@ def maybe_number(fields: Mapping[str, Any], name: str) -> float | None:
     value = fields.get(name)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
+    if not known:
         raise StationError(f"{name} is {value!r:.40}, not a number")
     return float(value)
 
@@ -233,20 +238,14 @@ def order_of(fields: Mapping[str, Any]) -> Order:
         raise StationError(f"an order is none: {error}") from error
 
 
+def record_of(kind: type[Record], fields: Mapping[str, Any]) -> Record:
+    """A message of the wire, as `dataclasses.asdict` took it apart."""
+    try:
+        return from_map(kind, dict(fields))
+    except ProtocolError as error:
+        raise StationError(str(error)) from error
+
+
 def truth_of(fields: Mapping[str, Any]) -> Truth:
     """Where things really were."""
-    robot, target = numbers(fields, "robot", 3), numbers(fields, "target", 3)
-    if robot is None:
-        raise StationError("robot is missing")
-    return Truth(
-        robot=_three(robot),
-        target=None if target is None else _three(target),
-        bearing_rad=maybe_number(fields, "bearing_rad"),
-        range_m=maybe_number(fields, "range_m"),
-        in_view=fields.get("in_view") is True,
-        collisions=whole(fields, "collisions", 0, 1 << 40),
-    )
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    return values[0], values[1], values[2]
+    return record_of(Truth, fields)

@@ -14,12 +14,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
 from base_station import cli
 from base_station.kits import KitMaker
@@ -29,6 +30,8 @@ from base_station.orders import Order
 from base_station.recording.foxglove_file import NS_PER_S
 from base_station.recording.reader import Recording
 from base_station.recording.recorder import Recorder
+from base_station.recording.replay import ReplayedRobot
+from base_station.recording.replay_command import Replay, replay_run
 from base_station.station import Station, StationSettings, Step
 from base_station.types import Box
 from tests.helpers import Program, Programs, numbered_picture, wait_until
@@ -63,7 +66,7 @@ def operate(port: int, path: Path) -> list[Step]:
         60: [Order(kind="drive", forward=0.5, left=0.3), Order(kind="shadow")],
         75: [Order.learn(None), Order(kind="behaviour", name="idle")],
     }
-    link = Link(LinkSettings(port=port))
+    link = Link(LinkSettings(port=port), on_telemetry=lambda telemetry: recorder.note_telemetry(telemetry))
     make = KitMaker(memory=DEFAULT_MEMORY)
     settings = StationSettings(max_frames=110)
     run = {"options": {"tracker": "ztransform"}}
@@ -99,8 +102,28 @@ def test_a_replay_gives_the_same_results_bit_for_bit(programs: Programs, port: i
     told = json.loads((folder / "same.json").read_text())
     assert [one["identical"] for one in told["against_recorded"]] == [True, True]
     assert told["against_recorded"][0]["frames"] == 110
+    watch_the_replay(folder / "run.mcap", steps)
     # And it would be noticed if they were not the same.
     assert cli.main(["replay", str(folder / "run.mcap"), "--same", "--tracker", "phase"]) == 1
+
+
+def watch_the_replay(path: Path, steps: list[Step]) -> None:
+    """Whoever watches a replay is told of the same steps, and how the robot stood."""
+    told: list[Step] = []
+    robots = []
+
+    def watch(stack: contextlib.ExitStack, robot: ReplayedRobot) -> list[Callable[[Step], None]]:
+        stack.callback(lambda: robots.append((robot.state, robot.hello, robot.telemetry, robot.tracker)))
+        return [told.append]
+
+    replay_run(Replay(source=path), Console(), watch)
+    names = ("tracker", "shadow_tracker", "behaviour", "command", "learned", "orders", "pan_rad")
+    for name in names:
+        assert [getattr(step, name) for step in told] == [getattr(step, name) for step in steps], name
+    ((state, hello, telemetry, tracker),) = robots
+    assert state == "replay of run" and tracker is not None
+    assert hello is not None and hello.rhythm == "lockstep" and hello.scenario is not None
+    assert telemetry is not None and telemetry.wheels_measured is not None
 
 
 def test_bands_of_rows_are_replayed_the_same(programs: Programs, port: int, folder: Path):
@@ -114,17 +137,38 @@ def test_bands_of_rows_are_replayed_the_same(programs: Programs, port: int, fold
     assert cli.main(["replay", str(run), "--same"]) == 0
 
 
-def test_slam_repeats_itself_in_a_replay(folder: Path, drawn: Path):
+def layered_pictures(folder: Path, count: int) -> Path:
+    """What a camera sees that moves sideways past six walls, the lower the nearer: enough for a map."""
+    chance = np.random.default_rng(1)
+    walls = []
+    for px_per_frame in (1.0, 1.6, 2.4, 3.2, 4.2, 5.2):
+        wall = np.full((40, 960), 120, np.uint8)
+        for x, y, side, gray in chance.integers((0, 0, 3, 0), (960, 40, 14, 256), (250, 4)).tolist():
+            cv2.rectangle(wall, (x, y), (x + side, y + side), gray, -1)
+        walls.append((wall, px_per_frame))
+    folder.mkdir()
+    for number in range(count):
+        moves = [np.array([[1, 0, -step * number], [0, 1, 0]], np.float32) for _, step in walls]
+        rows = [cv2.warpAffine(wall, move, (320, 40)) for (wall, _), move in zip(walls, moves, strict=True)]
+        assert cv2.imwrite(str(folder / f"{number:03d}.png"), np.vstack(rows))
+    return folder
+
+
+def test_slam_repeats_itself_in_a_replay_with_every_pose(folder: Path):
     """In a replay it maps within the frame; live its mapper is another process, and its time is not repeated."""
-    first, again = folder / "first.mcap", folder / "again.mcap"
-    assert cli.main(["replay", str(drawn), "--tracker", "slam", "--max-frames", "15", "--record", str(first)]) == 0
-    assert cli.main(["replay", str(first), "--same", "--record", str(again)]) == 0
-    results = [[step.result.shift_px for step in Recording(path)] for path in (first, again)]
-    assert len(results[0]) == 15
-    assert results[0] == results[1]
+    pictures, first = layered_pictures(folder / "walls", 25), folder / "first.mcap"
+    assert cli.main(["replay", str(pictures), "--tracker", "slam", "--record", str(first)]) == 0
+    steps = list(Recording(first))
+    assert len(steps) == 25
+    assert sum(step.result.cam_from_world is not None for step in steps) >= 10
+    assert cli.main(["replay", str(first), "--same"]) == 0
+    assert cli.main(["export", str(first), str(folder / "tum")]) == 0
+    assert len((folder / "tum" / "trajectory.txt").read_text().splitlines()) >= 10
 
 
-def test_recordings_are_compared_and_exported(programs: Programs, port: int, folder: Path, capsys):
+def test_recordings_are_compared_and_exported(
+    programs: Programs, port: int, folder: Path, capsys: pytest.CaptureFixture[str]
+):
     run = folder / "run.mcap"
     programs.sim(port, "--rhythm", "lockstep", "--scenario", "leader")
     station = programs.station(
@@ -168,7 +212,7 @@ def exported_as_recorded(folder: Path, recording: Recording) -> None:
     assert np.allclose(place[:2, 2], [np.cos(truth.robot[2]), np.sin(truth.robot[2])], atol=1e-7)
 
 
-def test_a_video_of_ones_own_is_replayed(folder: Path, drawn: Path, capsys):
+def test_a_video_of_ones_own_is_replayed(folder: Path, drawn: Path, capsys: pytest.CaptureFixture[str]):
     seen, results = folder / "seen.mp4", folder / "results.csv"
     arguments = ["--target", "100,60,100,100", "--video", str(seen), "--results", str(results)]
     assert cli.main(["replay", str(drawn), *arguments]) == 0

@@ -7,6 +7,7 @@ import logging
 import random
 import sys
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from base_station.geometry import FlatPose, PinholeCamera
 from base_station.orders import Order
 from base_station.recording import jpeg, protobuf, recorder, topics
 from base_station.recording.jpeg import JpegEncoder
+from base_station.recording.mcap_file import Message, Metadata
 from base_station.recording.reader import Recording
 from base_station.recording.recorder import Recorder
 from base_station.station import Step
@@ -103,10 +105,10 @@ def test_pictures_without_raw_are_jpegs_that_look_the_same(tmp_path: Path):
 
 def test_noisy_pictures_keep_to_the_budget_and_quiet_ones_are_good():
     encoder, chance = JpegEncoder(), np.random.default_rng(1)
-    noisy = [chance.integers(60, 200, (240, 320), np.uint8) for _ in range(80)]
+    noisy = [chance.integers(60, 200, (120, 160), np.uint8) for _ in range(80)]
     sizes = [len(encoder.encode(picture)) for picture in noisy]
     assert sizes[-1] < 0.5 * sizes[0]
-    quiet = cv2.GaussianBlur(numbered_picture(1, 320, 240), (0, 0), 3)
+    quiet = cv2.GaussianBlur(numbered_picture(1), (0, 0), 3)
     for _ in range(60):
         data = encoder.encode(quiet)
     assert encoder.quality == jpeg.BEST
@@ -128,10 +130,13 @@ def test_a_band_of_rows_keeps_its_place(tmp_path: Path):
 def test_the_truth_is_found_whether_it_comes_before_its_frame_or_after(tmp_path: Path):
     made = Recorder(tmp_path / "run.mcap", raw=True)
 
+    def stamp_of(number: int) -> FrameStamp:
+        return FrameStamp(connection=1, number=number, capture_s=1.0, dropped=0, rows=(3, 9))
+
     def tell(number: int) -> None:
         truth = Truth(robot=(number, 2.0, 0.5), bearing_rad=0.1, range_m=0.4, in_view=True)
-        stamp = FrameStamp(connection=1, number=number, capture_s=1.0, dropped=0)
-        made.note_telemetry(Telemetry(sequence=1, monotonic_s=1, wall_s=2, frame=stamp, station="here:1", truth=truth))
+        told = Telemetry(sequence=1, monotonic_s=1, wall_s=2, frame=stamp_of(number), station="here:1", truth=truth)
+        made.note_telemetry(told)
 
     tell(1)
     made.note_step(a_step(1))
@@ -140,6 +145,7 @@ def test_the_truth_is_found_whether_it_comes_before_its_frame_or_after(tmp_path:
     made.close()
     recording = Recording(made.path)
     assert len(list(recording)) == 2
+    assert recording.telemetry is not None and recording.telemetry.frame == stamp_of(2)
     assert {key: truth.robot[0] for key, truth in recording.truths.items()} == {("here:1", 1): 1, ("here:1", 2): 2}
 
 
@@ -181,6 +187,49 @@ def test_garbage_is_no_traceback(recorded: Path, tmp_path: Path):
         bad.write_bytes(spoilt)
         frames, _ = read(bad)
         assert 0 <= frames <= 60
+
+
+class Entries:
+    """A file's entries in memory."""
+
+    damage = ""
+
+    def __init__(self, entries: list[Message | Metadata]) -> None:
+        self._entries = entries
+
+    def __iter__(self) -> Iterator[Message | Metadata]:
+        return iter(self._entries)
+
+
+def test_messages_that_make_no_sense_are_no_traceback(recorded: Path):
+    """Behind the file's check sums, as another program might have written them."""
+    chance, recording = random.Random(4), Recording(recorded)
+    entries = list(recording._file)[:40]
+    odd = [b"null", b"-1", b"1e999", b"9" * 400, b'"x"', b"[]", b"{}", b"[" * 3000, b"NaN", b"\xff", b"2", b"true"]
+    refused = 0
+    for _ in range(400):
+        spoilt = list(entries)
+        place = chance.choice([at for at, entry in enumerate(spoilt) if isinstance(entry, Message)])
+        message = spoilt[place]
+        assert isinstance(message, Message)
+        data = bytearray(message.data)
+        at = chance.randrange(len(data))
+        if data[:1] == b"{" and chance.random() < 0.7:
+            begin = data.find(b":", at) + 1 or 1
+            end = min((cut for cut in (data.find(b",", begin), data.find(b"}", begin)) if cut > 0), default=len(data))
+            data[begin:end] = chance.choice(odd)
+        elif chance.random() < 0.3:
+            del data[at:]
+        else:
+            data[at] = chance.randrange(256)
+        spoilt[place] = replace(message, data=bytes(data))
+        recording._file = Entries(spoilt)  # type: ignore[assignment]
+        try:
+            assert len(list(recording)) <= 60
+        except StationError as error:
+            refused += 1
+            assert "frames" in str(error)
+    assert 80 < refused < 400
 
 
 def read(path: Path) -> tuple[int, str]:

@@ -170,6 +170,18 @@ def test_an_unknown_tracker_is_a_mistake_of_usage(otb: Path):
     assert caught.value.usage
 
 
+def test_a_tracker_of_ones_own_that_fails_is_named_with_its_line(otb: Path, tmp_path: Path):
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "class Mine:\n"
+        "    def learn(self, frame, target): pass\n"
+        "    def update(self, frame): return frame.number / 0\n"
+        "    def close(self): pass\n"
+    )
+    with pytest.raises(StationError, match=r"frame 1: ZeroDivisionError: .*\(mine.py, line 3\)"):
+        run(otb, tracker=f"{own}:Mine")
+
+
 def test_agreement_is_told_bit_for_bit_and_in_numbers():
     other = replace(TRACKED, bearing_rad=0.1 + math.radians(0.5), zoom=2.02, shift_px=4.0)
     same = agreement([(TRACKED, TRACKED), (LOST, LOST)])
