@@ -26,10 +26,10 @@ def adjust_small(
     problem: BundleProblem, intrinsics: np.ndarray, scales: np.ndarray, *, iterations: int = 6
 ) -> tuple[np.ndarray, np.ndarray]:
     """Better poses (K, 4, 4) and points (P, 3); keyframes that are `fixed` stay. `scales` (levels,): sigma in px."""
-    order = np.argsort(problem.point, kind="stable")
+    moving = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
+    order = np.argsort(problem.point * (len(moving) + 1) + moving[problem.keyframe] + 1, kind="stable")
     point, keyframe = problem.point[order].astype(np.int64), problem.keyframe[order].astype(np.int64)
     uv, weights = problem.uv_px[order], 1.0 / scales[problem.octave[order]] ** 2
-    moving = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
     poses, points = problem.poses.copy(), problem.points.copy()
     slots = moving[keyframe]
     size = 6 * int((~problem.fixed).sum())
@@ -150,9 +150,7 @@ def _reduce(
                         cross[i, a, 0] * inverse[0, b] + cross[i, a, 1] * inverse[1, b] + cross[i, a, 2] * inverse[2, b]
                     )
                 right[base + a] -= w[a, 0] * g[0] + w[a, 1] * g[1] + w[a, 2] * g[2]
-            for j in range(first, end):
-                if slots[j] < 0:
-                    continue
+            for j in range(i, end):  # ordered by slot: all of it above the diagonal, which is mirrored at the end
                 other = 6 * slots[j]
                 for a in range(6):
                     for b in range(6):
@@ -160,6 +158,9 @@ def _reduce(
                             w[a, 0] * cross[j, b, 0] + w[a, 1] * cross[j, b, 1] + w[a, 2] * cross[j, b, 2]
                         )
         first = end
+    for a in range(len(right)):
+        for b in range(a):
+            matrix[a, b] = matrix[b, a]
 
 
 @njit(cache=True, nogil=True)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from base_station.trackers.slam.map import Map
+
+ASKED = 60
+"""Neighbours that may see a keyframe's points as well."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,15 +56,46 @@ def cull_keyframes(world: Map, keyframe: int, settings: CullingSettings) -> list
 
 
 def _redundant(world: Map, keyframe: int, settings: CullingSettings) -> bool:
+    """Whether most of its points are seen by enough of its neighbours, on no much coarser level than by itself."""
+    share = redundant_share(
+        world.point_of, world.octave_of, world.point_count, keyframe, world.neighbours(keyframe, ASKED),
+        settings.redundant_views,
+    )  # fmt: skip
+    return bool(share > settings.redundant_share)
+
+
+@njit(cache=True, nogil=True)
+def redundant_share(point_of, octave_of, point_count, keyframe, others, views):
+    """Of the points that a keyframe sees, those that at least so many of the others see as finely; 1 without any."""
+    coarsest = np.zeros(point_count, np.int16)
+    seen = np.zeros(point_count, np.int16)
+    count = 0
+    for feature in range(point_of.shape[1]):
+        point = point_of[keyframe, feature]
+        if point >= 0:
+            coarsest[point] = octave_of[keyframe, feature] + 2
+            count += 1
+    for other in others:
+        for feature in range(point_of.shape[1]):
+            point = point_of[other, feature]
+            if point >= 0 and octave_of[other, feature] < coarsest[point]:
+                seen[point] += 1
+    enough = 0
+    for feature in range(point_of.shape[1]):
+        point = point_of[keyframe, feature]
+        enough += point >= 0 and seen[point] >= views
+    return enough / count if count else 1.0
+
+
+def redundant_share_reference(world: Map, keyframe: int, others: np.ndarray, views: int) -> float:
+    """The same in plain numpy, for tests."""
     features = np.flatnonzero(world.point_of[keyframe] >= 0)
+    if not len(features):
+        return 1.0
     points = world.point_of[keyframe, features]
-    if not len(points):
-        return True
     octave = np.zeros(world.point_count + 1, np.int64)
     octave[points] = world.features[keyframe].octave[features] + 1
-    rows, seers, theirs = world.observations(world.neighbours(keyframe, 60))
-    kept = octave[rows] > 0
-    rows, seers, theirs = rows[kept], seers[kept], theirs[kept]
+    rows, seers, theirs = world.observations(others)
     _, fineness, _ = world.keypoints(seers, theirs)
-    views = np.bincount(rows[fineness <= octave[rows]], minlength=world.point_count)
-    return bool(np.mean(views[points] >= settings.redundant_views) > settings.redundant_share)
+    kept = (octave[rows] > 0) & (fineness <= octave[rows])
+    return float(np.mean(np.bincount(rows[kept], minlength=world.point_count)[points] >= views))

@@ -71,6 +71,8 @@ class Map:
         self.cam_from_anchor = np.zeros((k, 4, 4))
         self.point_of = np.full((k, features_most), NONE, np.int32)
         """(keyframes, features): which point each feature shows."""
+        self.octave_of = np.zeros((k, features_most), np.uint8)
+        """(keyframes, features): the pyramid level of each feature."""
         self.shared = np.zeros((k, k), np.int32)
         """(keyframes, keyframes): how many points both see."""
         self.features: dict[int, Features] = {}
@@ -109,6 +111,7 @@ class Map:
         self.features[row] = features
         self.point_of[row] = NONE
         self.point_of[row, : len(point_of)] = point_of
+        self.octave_of[row, : len(features)] = features.octave
         self._keyframe_changed[row] = True
 
     def add_points(self, xyz: np.ndarray, descriptors: np.ndarray, born: int) -> np.ndarray:
@@ -125,7 +128,7 @@ class Map:
         return rows
 
     def _grow_keyframes(self) -> None:
-        for name in (*KEYFRAME_COLUMNS, "_keyframe_changed"):
+        for name in (*KEYFRAME_COLUMNS, "octave_of", "_keyframe_changed"):
             setattr(self, name, _doubled(getattr(self, name)))
         size = len(self.shared)
         shared = np.zeros((2 * size, 2 * size), np.int32)
@@ -176,13 +179,17 @@ class Map:
         return self.point_of[rows, feature], rows, feature
 
     def keypoints(self, keyframes: np.ndarray, features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of feature i of keyframe i, n of both: place (n, 2) px, octave (n,), descriptor (n, 4)."""
+        """Of feature i of keyframe i, n of both: place (n, 2) px, octave (n,), descriptor (n, 4).
+
+        Quick when those of a keyframe follow each other, as `observations` gives them.
+        """
         n = len(keyframes)
         uv, octave, looks = np.empty((n, 2)), np.empty(n, np.int64), np.empty((n, 4), np.uint64)
-        for keyframe in np.unique(keyframes):
-            mine, of = keyframes == keyframe, self.features[int(keyframe)]
-            index = features[mine]
-            uv[mine], octave[mine], looks[mine] = of.xy_px[index], of.octave[index], of.descriptors[index]
+        starts = np.flatnonzero(np.diff(keyframes, prepend=NONE))
+        for first, end in zip(starts, np.append(starts[1:], n), strict=True):
+            of, index = self.features[int(keyframes[first])], features[first:end]
+            uv[first:end], octave[first:end] = of.xy_px[index], of.octave[index]
+            looks[first:end] = of.descriptors[index]
         return uv, octave, looks
 
     def pose_by(self, keyframe: int, cam_from_keyframe: np.ndarray, size: float = 1.0) -> np.ndarray:
@@ -324,15 +331,15 @@ def refresh_points(world: Map, points: np.ndarray, keyframes: np.ndarray) -> Non
     wanted[points] = True
     kept = wanted[rows]
     rows, seers, features = rows[kept], seers[kept], features[kept]
-    order = np.argsort(rows, kind="stable")
-    rows, seers, features = rows[order], seers[order], features[order]
     if not len(rows):
         return
+    _, octaves, looks = world.keypoints(seers, features)
+    order = np.argsort(rows, kind="stable")
+    rows, seers, octaves, looks = rows[order], seers[order], octaves[order], looks[order]
     starts = np.flatnonzero(np.diff(rows, prepend=-1))
     unique, counts = rows[starts], np.diff(starts, append=len(rows))
     away = world.xyz[rows] - camera_centers(world.poses[seers])
     distances = np.linalg.norm(away, axis=1)
-    _, octaves, looks = world.keypoints(seers, features)
     sums = np.add.reduceat(away / np.maximum(distances, 1e-12)[:, None], starts, axis=0)
     world.normals[unique] = sums / np.maximum(np.linalg.norm(sums, axis=1), 1e-12)[:, None]
     finest = distances * world.scales[octaves]

@@ -23,6 +23,7 @@ from base_station.trackers.slam.loop_correction import correct
 from base_station.trackers.slam.map import NONE, Map, MapUpdate, refresh_points
 from base_station.trackers.slam.new_points import make_points, median_depth
 from base_station.trackers.slam.relocalization import Places
+from base_station.trackers.slam.whole_bundle import adjust_whole
 
 if TYPE_CHECKING:
     from base_station.trackers.slam.settings import SlamSettings
@@ -41,6 +42,13 @@ class NewMap:
 @dataclass(frozen=True)
 class Forget:
     """A map that was lost before it was worth keeping."""
+
+    component: int
+
+
+@dataclass(frozen=True)
+class Settle:
+    """No picture follows for now: a map may be adjusted as a whole."""
 
     component: int
 
@@ -158,6 +166,12 @@ class Mapper:
             world.mark(keyframes=int(row))
         self._places.tidy()
         return self._changes("forgotten map", began)
+
+    def settle(self, component: int) -> MapUpdate:
+        """Adjust a whole map, so that its trajectory is final."""
+        began = time.perf_counter()
+        done = adjust_whole(self.map, component, self._camera, self._settings.bundle)
+        return self._changes("settled" if done else "left as it is", began)
 
     def _count(self, new: NewKeyframe) -> None:
         np.add.at(self.map.expected, new.counted, new.expected)

@@ -6,6 +6,7 @@ work has lost its track.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -57,6 +58,7 @@ def rehearse_tracking() -> None:
     features = extract(noise)
     noise.flags.writeable = False  # as pictures from a robot are: to compiled code another kind of array
     features = extract(noise)
+    replace(camera, distortion=(0.1, 0.0, 0.0, 0.0)).undistort(features.xy_px)
     initializer = Initializer(camera, extract.scales, settings.initializer)
     for time_s in range(2):
         initializer(float(time_s), features, Grid.of(features.xy_px, camera.bounds_px))

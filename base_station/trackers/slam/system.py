@@ -19,7 +19,7 @@ from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
 from base_station.trackers.slam.keyframe_decision import share_seen, wants_keyframe
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
-from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap
+from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle
 from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, MapperProcess
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
@@ -101,6 +101,8 @@ class SlamSystem:
         self.last_picture: Picture | None = None
         """The last picture that could be looked at, with its features and the map points that they show."""
         self._trajectory: list[_Tracked] = []
+        self._unsettled = False
+        """Whether the map has changed since it was adjusted as a whole."""
         self._counts = _Counts()
         self._end = weakref.finalize(self, self._link.close)
 
@@ -263,7 +265,8 @@ class SlamSystem:
         """Bring the tracker's copy of the map up to date."""
         for update in updates:
             self._map.apply(update)
-            if update.event in ("loop", "merge"):
+            self._unsettled = update.event not in ("settled", "left as it is")
+            if update.event in ("loop", "merge", "settled"):
                 self._tracker.stopped()
                 self._counts.loops += update.event == "loop"
                 self._counts.merges += update.event == "merge"
@@ -303,8 +306,15 @@ class SlamSystem:
     # --- the end ----------------------------------------------------------------------------------------------------
 
     def finish(self) -> None:
-        """Let the mapper work off its queue; then `trajectory` and `keyframes` are final."""
+        """Let the mapper work off its queue and adjust the whole map; then `trajectory` and `keyframes` are final,
+        until the next picture."""
         deadline_s = time.monotonic() + FINISH_WITHIN_S
+        self._wait_for_mapper(deadline_s)
+        if self._unsettled and self._link.alive() and not self._link.waiting():
+            self._link.send(Settle(self._largest()))
+            self._wait_for_mapper(deadline_s)
+
+    def _wait_for_mapper(self, deadline_s: float) -> None:
         while self._link.waiting() and self._link.alive() and time.monotonic() < deadline_s:
             self._take(self._link.receive(0.5))
         self._take(self._link.receive())

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from base_station.trackers.slam.culling import redundant_share, redundant_share_reference
 from base_station.trackers.slam.keyframe_decision import share_seen
 from base_station.trackers.slam.local_map import ASKED, KEPT, MOST_POINTS, local_map, local_map_reference
 from base_station.trackers.slam.map import NONE, Map
@@ -60,3 +63,19 @@ def test_the_share_of_a_keyframes_points_that_a_picture_sees():
     alive[3] = False
     assert share_seen(reference, picture, alive, observed, 2) == pytest.approx(1 / 3)
     assert share_seen(np.full(7, NONE, np.int32), picture, alive, observed, 2) == 0.0
+
+
+def test_a_keyframes_redundancy_is_plain_numpys():
+    rng = np.random.default_rng(3)
+    world = a_long_map(rng, 40, 80)
+    for row in np.flatnonzero(world.alive):
+        octave = rng.integers(0, 8, 80).astype(np.uint8)
+        world.features[int(row)] = replace(features_of(np.zeros((80, 2)), random_looks(rng, 80)), octave=octave)
+        world.octave_of[row] = octave
+    shares = []
+    for row in np.flatnonzero(world.alive)[::3]:
+        others = world.neighbours(int(row), 60)
+        share = redundant_share(world.point_of, world.octave_of, world.point_count, row, others, 2)
+        assert share == pytest.approx(redundant_share_reference(world, int(row), others, 2))
+        shares.append(share)
+    assert 0.0 < min(shares) < max(shares) < 1.0

@@ -28,7 +28,7 @@ def test_undistorting_undoes_distorting_to_the_border(camera, distortion):
     columns, rows = np.meshgrid(np.linspace(20, camera.width_px - 20, 12), np.linspace(20, 460, 9))
     ideal = np.column_stack([columns.ravel(), rows.ravel()])
     seen = camera.distort(ideal)
-    assert np.abs(camera.undistort(seen) - ideal).max() < 0.02
+    assert np.abs(camera.undistort(seen) - ideal).max() < 0.001
     assert (np.abs(seen - ideal).max() > 5) == bool(distortion)
 
 
