@@ -36,15 +36,15 @@ class Controls:
         ui = self._ui
         with ui.element("div").classes("panel stage"):
             ui.element("div").classes("view").props("id=view")
-            with ui.element("div").classes("view-foot"):
+            with ui.element("div").classes("view-foot orders"):
                 ui.button("Whole view", on_click=lambda: self._order(kind="learn"))
-                ui.label("or drag a box over the target, or click on it").classes("soft")
+                ui.label("or drag a box, or click").classes("soft")
                 ui.html('<span id="rate" class="soft"></span>', sanitize=False).style("margin-left: auto")
 
     def choices(self) -> None:
         """Tracker, shadow, behaviour, driving."""
         ui = self._ui
-        with ui.element("div").classes("panel"):
+        with ui.element("div").classes("panel choices orders"):
             with ui.element("div").classes("fields"):
                 self._behaviour = self._select("behaviour", "Behaviour")
                 self._tracker = self._select("tracker", "Tracker")
@@ -54,9 +54,9 @@ class Controls:
                 self._hint = ui.label().classes("soft").style("flex: 1; min-width: 0")
 
     def landmarks(self) -> None:
-        """Learn, go to, follow, forget."""
+        """Learn, go to, follow, forget; and what the station had to say."""
         ui = self._ui
-        with ui.element("div").classes("panel"):
+        with ui.element("div").classes("panel landmarks orders"):
             with ui.element("div").classes("title"):
                 ui.label("Landmarks")
             with ui.element("div").classes("row").style("flex-wrap: nowrap; margin-bottom: 6px"):
@@ -65,6 +65,9 @@ class Controls:
                 ui.button("Learn target", on_click=lambda: self._remember(whole=False)).props("outline dense no-wrap")
                 ui.button("Learn view", on_click=lambda: self._remember(whole=True)).props("outline dense no-wrap")
             self._list = ui.element("div").classes("list")
+        with ui.element("div").classes("panel messages hide") as self._messages:
+            with ui.element("div").classes("title"):
+                ui.label("Messages")
             self._notices = ui.element("div").classes("notices")
 
     def show(self, state: State) -> None:
@@ -117,12 +120,14 @@ class Controls:
 
     def _tell(self, state: State) -> None:
         newest = state.notices[-1].number if state.notices else 0
-        if newest == self._noticed:
+        if newest == (self._noticed or 0):
+            self._noticed = newest
             return
         fresh = [notice.text for notice in state.notices if self._noticed is not None and notice.number > self._noticed]
         self._noticed = newest
         for text in fresh:
             self._say(text)
+        self._messages.classes(remove="hide")
         self._notices.clear()
         with self._notices:
             for notice in reversed(state.notices):

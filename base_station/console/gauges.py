@@ -11,6 +11,10 @@ CONTACT = 4500
 NEAR = 2000
 """...and where it is near."""
 FRONT, REAR = 5, 2
+LOOP, DELAY, TRACKER, DROPPED, BATTERY, CONFIDENCE = FACTS = (
+    "Loop", "Frame to command, median | 95 %", "Tracker, median", "Frames dropped, robot + loop", "Battery",
+    "Confidence",
+)  # fmt: skip
 
 
 class Gauges:
@@ -22,9 +26,9 @@ class Gauges:
         self._numbers: dict[str, Any] = {}
         self._meters: dict[tuple[str, str], Any] = {}
         self._shown: dict[Any, float] = {}
-        with ui.element("div").classes("panel"):
+        with ui.element("div").classes("panel gauges"):
             with ui.element("div").classes("facts"):
-                for name in ("Loop", "Frame to command", "Tracker", "Dropped", "Battery", "Confidence"):
+                for name in FACTS:
                     self._facts[name] = self._fact(name)
             with ui.element("div").classes("wheels"):
                 for side in ("left", "right"):
@@ -89,10 +93,12 @@ def facts(state: State) -> dict[str, str]:
     battery_v = telemetry.battery_v if telemetry is not None else None
     delay_ms, p95_ms = state.frame_to_command_ms, state.frame_to_command_p95_ms
     return {
-        "Loop": f"{state.loop_hz:.1f} Hz",
-        "Frame to command": "-" if delay_ms is None or p95_ms is None else f"{delay_ms:.1f} | {p95_ms:.1f} ms",
-        "Tracker": "-" if state.tracker_ms is None else f"{state.tracker_ms:.1f} ms",
-        "Dropped": f"{'-' if dropped is None else dropped} + {state.passed_over}",
-        "Battery": "-" if battery_v is None else f"{battery_v:.2f} V",
-        "Confidence": f"{seen.confidence:.2f}" if seen is not None and seen.state == "TRACKING" else "-",
+        LOOP: f"{state.loop_hz:.1f} Hz",
+        DELAY: "-"
+        if delay_ms is None or p95_ms is None
+        else f"{delay_ms:.{1 if delay_ms < 100 else 0}f} | {p95_ms:.{1 if p95_ms < 100 else 0}f} ms",
+        TRACKER: "-" if state.tracker_ms is None else f"{state.tracker_ms:.1f} ms",
+        DROPPED: f"{'-' if dropped is None else dropped} + {state.passed_over}",
+        BATTERY: "-" if battery_v is None else f"{battery_v:.2f} V",
+        CONFIDENCE: f"{seen.confidence:.2f}" if seen is not None and seen.state == "TRACKING" else "-",
     }

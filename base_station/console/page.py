@@ -12,7 +12,7 @@ from base_station.console.controls import Controls
 from base_station.console.feed import Feed
 from base_station.console.gauges import Gauges
 from base_station.console.line import Lines
-from base_station.console.plots import Plots
+from base_station.console.plots import HistoryPlot, SignaturePlot
 from base_station.console.scene import Scene
 
 REFRESH_S = 0.2
@@ -46,19 +46,16 @@ def add_page(library: Any, feed: Feed, lines: Lines) -> None:
 
 
 def _build(ui: Any, feed: Feed, lines: Lines) -> None:
-    parts: list[Any] = []
-    top = Top(ui)
+    top, controls = Top(ui), Controls(ui, feed, lines)
     with ui.element("div").classes("main"):
         with ui.element("div").classes("left"):
-            controls = Controls(ui, feed, lines)
             controls.stage()
-            parts.append(Plots(ui, feed))
-            parts.append(Scene(ui, feed))
+            signature, scene = SignaturePlot(ui), Scene(ui, feed)
         with ui.element("div").classes("right"):
             controls.choices()
-            parts.append(Gauges(ui))
+            gauges, history = Gauges(ui), HistoryPlot(ui, feed)
             controls.landmarks()
-    parts += [top, controls]
+    parts = (top, controls, gauges, history, signature, scene)
 
     def refresh() -> None:
         if feed.state is not None:
@@ -75,7 +72,7 @@ class Top:
         with ui.element("div").classes("top"):
             ui.label("zservo").classes("name")
             self._robot = ui.label().classes("soft")
-            self._link = ui.label().classes("chip")
+            self._link = ui.label().classes("chip link")
             self._safety = ui.label().classes("chip")
             ui.html('<button id="scheme" class="plain" aria-label="colours"></button>', sanitize=False)
 
@@ -83,7 +80,7 @@ class Top:
         """Bring in what has changed."""
         self._robot.set_text(state.robot)
         self._link.set_text(state.link)
-        _colour(self._link, "good" if state.connected else "bad")
+        _colour(self._link, "link good" if state.connected else "link bad")
         telemetry = state.telemetry
         if telemetry is None:
             self._safety.set_text("no telemetry")
@@ -93,6 +90,6 @@ class Top:
             _colour(self._safety, {"ok": "good", "limited": "warn"}.get(telemetry.safety, "bad"))
 
 
-def _colour(chip: Any, name: str) -> None:
-    if name not in chip.classes:
-        chip.classes(replace=f"chip {name}")
+def _colour(chip: Any, names: str) -> None:
+    if not set(names.split()) <= set(chip.classes):
+        chip.classes(replace=f"chip {names}")

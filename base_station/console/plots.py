@@ -10,7 +10,7 @@ import numpy as np
 from base_station.console.feed import HISTORY_S, Feed, Sample
 from base_station.publication.schema import State
 
-EVERY = 3
+EVERY = 5
 """Refreshes of the page between two of the plots."""
 CURVES = (
     ("shift", "px", "#3b8ff0"),
@@ -20,63 +20,80 @@ CURVES = (
 )
 GRAY, LINE = "#7d8894", "rgba(125, 136, 148, 0.25)"
 LABEL = {"color": GRAY, "fontSize": 11}
+ENDS = {**LABEL, "alignMinLabel": "left", "alignMaxLabel": "right"}
 
 
-class Plots:
+class HistoryPlot:
     """Light lines, drawn anew some times a second."""
 
     def __init__(self, ui: Any, feed: Feed) -> None:
         self._feed, self._refreshes = feed, 0
-        with ui.element("div").classes("panel"):
+        with ui.element("div").classes("panel plots"):
+            self._chart = ui.echart(history_options()).style("height: 214px; width: 100%")
+
+    def show(self, state: State) -> None:
+        """Bring in what has changed."""
+        self._refreshes += 1
+        if self._refreshes % EVERY == 0:
+            self._chart.run_chart_method("setOption", {"series": history_series(list(self._feed.history))})
+
+
+class SignaturePlot:
+    """Hidden while the tracker has no signature."""
+
+    def __init__(self, ui: Any) -> None:
+        self._refreshes = 1
+        with ui.element("div").classes("panel signature hide") as self._panel:
             with ui.element("div").classes("title"):
-                ui.label("Last minute")
-            self._history = ui.echart(history_options()).style("height: 150px; width: 100%")
-        with ui.element("div").classes("panel hide") as self._panel:
-            with ui.element("div").classes("title"):
-                ui.label("Signature: now (blue) against learned (grey)")
+                ui.label("Signature: now (blue), learned (grey)")
                 self._likeness = ui.label()
-            self._signature = ui.echart(signature_options()).style("height: 120px; width: 100%")
+            self._chart = ui.echart(signature_options()).style("height: 96px; width: 100%")
 
     def show(self, state: State) -> None:
         """Bring in what has changed."""
         self._refreshes += 1
         if self._refreshes % EVERY:
             return
-        self._history.run_chart_method("setOption", {"series": history_series(list(self._feed.history))})
         signature = state.signature
         if ("hide" in self._panel.classes) != (signature is None):
             self._panel.classes(toggle="hide")
-        if signature is not None:
-            now, learned = np.frombuffer(signature.now, "<f4"), np.frombuffer(signature.learned, "<f4")
-            if now.shape == learned.shape:
-                self._likeness.set_text(f"likeness {float(now @ learned):.3f}")
-                data = [{"data": np.round(values, 4).tolist()} for values in (learned, now)]
-                self._signature.run_chart_method("setOption", {"series": data})
+        if signature is None:
+            return
+        now, learned = np.frombuffer(signature.now, "<f4"), np.frombuffer(signature.learned, "<f4")
+        if now.shape == learned.shape:
+            self._likeness.set_text(f"likeness {float(now @ learned):.3f}")
+            series = [{"data": np.round(values, 4).tolist()} for values in (learned, now)]
+            self._chart.run_chart_method("setOption", {"series": series})
 
 
 def history_options() -> dict[str, Any]:
-    """Four small plots side by side, for ECharts."""
-    width, gap = 22.0, 3.0
-    lefts = [3.0 + i * (width + gap) for i in range(len(CURVES))]
+    """Four small plots, two by two, for ECharts."""
+    places = [(f"{left}%", top) for top in (3, 109) for left in (0, 52)]
+    grids = [
+        {"left": left, "width": "46%", "top": top + 20, "height": 80, "containLabel": True} for left, top in places
+    ]
+    bare = {"axisLine": {"show": False, "onZero": False}, "axisTick": {"show": False}, "axisLabel": LABEL}
+    bare["splitLine"] = {"lineStyle": {"color": LINE}}
     return {
         "animation": False,
         "title": [
-            {"text": f"{name} {unit}".strip(), "left": f"{left}%", "top": 0, "textStyle": {**LABEL, "fontWeight": 600}}
-            for (name, unit, _), left in zip(CURVES, lefts, strict=True)
+            {
+                "text": f"{name} {unit}".strip(), "left": left, "top": top, "padding": 0,
+                "textStyle": {**LABEL, "fontWeight": 600},
+            }
+            for (name, unit, _), (left, top) in zip(CURVES, places, strict=True)
         ],
-        "grid": [{"left": f"{left}%", "width": f"{width - 2}%", "top": 24, "bottom": 20} for left in lefts],
+        "grid": grids,
         "xAxis": [
             {
-                "gridIndex": i, "type": "value", "min": -HISTORY_S, "max": 0, "interval": HISTORY_S / 2,
-                "axisLabel": LABEL,
-                "splitLine": {"lineStyle": {"color": LINE}}, "axisLine": {"show": False}, "axisTick": {"show": False},
+                **bare, "axisLabel": ENDS, "gridIndex": i, "type": "value", "min": -HISTORY_S, "max": 0,
+                "interval": HISTORY_S / 2,
             }
             for i in range(len(CURVES))
         ],
         "yAxis": [
             {
-                "gridIndex": i, "type": "value", "scale": True, "splitNumber": 2, "axisLabel": LABEL,
-                "splitLine": {"lineStyle": {"color": LINE}},
+                **bare, "gridIndex": i, "type": "value", "scale": True, "splitNumber": 2,
                 **({"min": 0, "max": 1} if name == "confidence" else {}),
             }
             for i, (name, _, _) in enumerate(CURVES)

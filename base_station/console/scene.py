@@ -23,7 +23,7 @@ class Scene:
     def __init__(self, ui: Any, feed: Feed) -> None:
         self._ui, self._feed, self._number = ui, feed, 0
         self._scene: Any = None
-        with ui.element("div").classes("panel hide") as self._panel:
+        with ui.element("div").classes("panel map hide") as self._panel:
             with ui.element("div").classes("title"):
                 ui.label("Map")
                 self._counts = ui.label()

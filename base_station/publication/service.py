@@ -93,7 +93,7 @@ class Publication:
             return NO_ORDERS
         if wish.order is None or wish.order.kind not in ("stop", "release"):
             return "only stop and release are taken here"
-        return self._orders.emergency(wish.order.kind)
+        return _emergency(self._orders, wish.order.kind)
 
     def _serve(self, wish: Wish) -> str:
         if self._orders is None:
@@ -105,13 +105,22 @@ class Publication:
         elif wish.order is None:
             return "neither an order nor a landmark to forget"
         elif wish.order.kind in ("stop", "release"):
-            return self._orders.emergency(wish.order.kind)
+            return _emergency(self._orders, wish.order.kind)
         else:
             wrong = unknown_name(wish.order, self._choices())
             if wrong:
                 return wrong
             self._orders.post(wish.order)
         return ""
+
+
+def _emergency(orders: OrderTaker, action: str) -> str:
+    """A robot that does not take the stop, for want of a control port perhaps, is at least no longer driven."""
+    wrong = orders.emergency(action)
+    if wrong and action == "stop":
+        orders.post(Order(kind="behaviour", name="idle"))
+        wrong += ". The station goes on with the behaviour idle, which lets the wheels stand."
+    return wrong
 
 
 def unknown_name(order: Order, choices: Choices) -> str:

@@ -31,6 +31,8 @@ from protocol import Hello, Telemetry
 
 WINDOW_S = 2.0
 """Rates and delays are those of so many seconds."""
+QUIET_S = 0.5
+"""Without frames for so long, nothing is seen any more."""
 NOTICES = 8
 """So many are kept for a page that is opened later."""
 LONGEST_NOTICE = 500
@@ -71,6 +73,8 @@ class StateMaker:
     ) -> None:
         self._robot, self._choices, self._outcome, self._takes_orders = robot, choices, outcome, takes_orders
         self._step: Step | None = None
+        self._last: Step | None = None
+        """The last one, however long ago: who steers does not change while no frame comes."""
         self._learned = False
         self._times: deque[tuple[float, float | None, float]] = deque()
         """Of the last steps: when (monotonic s), frame to command, tracker, both in s."""
@@ -82,7 +86,7 @@ class StateMaker:
     def note_step(self, step: Step) -> None:
         """A frame was dealt with, just now."""
         now_s = time.monotonic()
-        self._step = step
+        self._step = self._last = step
         self._times.append((now_s, step.frame_to_command_s, step.tracker_s))
         while now_s - self._times[0][0] > WINDOW_S:
             self._times.popleft()
@@ -93,8 +97,9 @@ class StateMaker:
 
     def note_wait(self) -> None:
         """No frame came."""
-        self._step = None
-        self._times.clear()
+        if self._times and time.monotonic() - self._times[-1][0] > QUIET_S:
+            self._step = None
+            self._times.clear()
 
     def notice(self, text: str) -> None:
         """Tell this to a person."""
@@ -131,7 +136,8 @@ class StateMaker:
 
     def state(self, shown: Shown | None) -> State:
         """How all stands now."""
-        step, robot, hello, choices = self._step, self._robot, self._robot.hello, self._choices()
+        step, last, robot, choices = self._step, self._last, self._robot, self._choices()
+        hello = robot.hello
         delays_ms = [delay_s * 1e3 for _, delay_s, _ in self._times if delay_s is not None]
         trackers_ms = [tracker_s * 1e3 for _, _, tracker_s in self._times]
         return State(
@@ -151,9 +157,9 @@ class StateMaker:
             shadow=seen_of(step.shadow) if step is not None and step.shadow is not None else None,
             command=(step.command.left, step.command.right) if step is not None else (0, 0),
             pan_rad=step.pan_rad if step is not None else None,
-            tracker=step.tracker if step is not None else "",
-            shadow_tracker=step.shadow_tracker if step is not None else None,
-            behaviour=step.behaviour if step is not None else "",
+            tracker=last.tracker if last is not None else "",
+            shadow_tracker=last.shadow_tracker if last is not None else None,
+            behaviour=last.behaviour if last is not None else "",
             outcome=self._outcome(),
             trackers=choices.trackers,
             behaviours=choices.behaviours,

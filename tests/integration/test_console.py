@@ -85,6 +85,7 @@ class Stage:
         """In one of the page's selects."""
         page.get_by_label(label, exact=True).click()
         page.locator(".q-menu .q-item", has_text=re.compile(f"^{option}$")).click()
+        page.locator(".q-menu").wait_for(state="detached")
         page.wait_for_function(
             "([label, option]) => [...document.querySelectorAll('.q-field')].some(field => "
             "field.innerText.includes(label) && field.innerText.includes(option))",

@@ -5,6 +5,7 @@ import * as emergency from "./emergency.js";
 import { draw } from "./overlay.js";
 
 const KEPT = 300;
+const OLD_MS = 2000; // a picture older than this is shown no longer
 const decoder = new TextDecoder();
 
 export const shown = { head: null, status: {}, times_ms: [], delays_ms: [], drag: null };
@@ -54,7 +55,7 @@ async function take(packet) {
   tell(told.status);
   const head = told.head;
   if (!head) {
-    shown.head = null;
+    if (performance.now() - (shown.times_ms.at(-1) ?? -Infinity) > OLD_MS) shown.head = null;
     redraw();
     return null;
   }
@@ -96,6 +97,7 @@ function tell(status) {
   shown.status = status;
   emergency.show(status);
   drive.setBehaviour(status.behaviour ?? "");
+  document.body.classList.toggle("replay", status.orders === false);
   banner(status.ended ? "The station has ended." : status.connected ? "" : status.link);
 }
 

@@ -14,7 +14,7 @@ import pytest
 
 from base_station.console.feed import Sample, packet, status_of
 from base_station.console.gate import Gate
-from base_station.console.gauges import facts
+from base_station.console.gauges import BATTERY, DELAY, FACTS, LOOP, facts
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings, address_text, is_loopback, listen
 from base_station.console.line import SILENT, Line
 from base_station.console.plots import CURVES, history_options, history_series
@@ -214,7 +214,8 @@ def test_a_silent_station_is_told_and_asked_again(tmp_path):
 
 def test_gauges_are_texts_with_units():
     texts = facts(State(link="", connected=True, loop_hz=29.96, frame_to_command_ms=1.2, frame_to_command_p95_ms=3.4))
-    assert texts["Loop"] == "30.0 Hz" and texts["Frame to command"] == "1.2 | 3.4 ms" and texts["Battery"] == "-"
+    assert tuple(texts) == FACTS
+    assert texts[LOOP] == "30.0 Hz" and texts[DELAY] == "1.2 | 3.4 ms" and texts[BATTERY] == "-"
 
 
 def test_the_plots_lines_end_now_and_have_gaps():

@@ -21,7 +21,7 @@ from base_station.geometry import PinholeCamera
 from base_station.orders import Order
 from base_station.publication.schema import MAP, STATE, Addresses, Answer, Head, Map, State, Wish, encode
 from base_station.publication.service import Publication, unknown_name
-from base_station.publication.states import Choices, StateMaker, map_of
+from base_station.publication.states import QUIET_S, Choices, StateMaker, map_of
 from base_station.station import Step
 from base_station.trackers.base import MapView, Shown
 from base_station.types import Box, Frame, TrackerResult, TrackingState
@@ -112,8 +112,12 @@ def test_without_frames_nothing_old_is_told():
     maker = StateMaker(robot, lambda: CHOICES)
     maker.note_step(step_of())
     maker.note_wait()
+    assert maker.state(None).seen is not None, "a frame may be a moment late"
+    time.sleep(QUIET_S + 0.05)
+    maker.note_wait()
     state = maker.state(None)
     assert state.seen is None and state.telemetry is None and state.loop_hz == 0 and state.command == (0, 0)
+    assert (state.tracker, state.behaviour) == ("ztransform", "follow")
 
 
 def test_a_head_tells_the_features_within_the_frame():
@@ -170,6 +174,18 @@ def test_the_desks_take_wishes_and_say_what_is_wrong(context):
     assert [order.kind for order in taker.posted] == ["behaviour"]
     assert taker.stopped == ["stop", "release"]
     assert forgotten == ["door"]
+
+
+def test_a_robot_that_does_not_take_the_stop_is_no_longer_driven(context):
+    class Plain(Taker):
+        def emergency(self, action: str) -> str:
+            return "no control port"
+
+    taker = Plain()
+    with Publication(Robot(), lambda: CHOICES, orders=taker) as publication:
+        said = ask(context, publication.addresses.emergency, encode(Wish(order=Order(kind="stop"))))
+    assert "no control port" in said and "idle" in said
+    assert taker.posted == [Order(kind="behaviour", name="idle")]
 
 
 def test_a_replay_takes_no_orders(context):
