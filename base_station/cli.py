@@ -14,7 +14,10 @@ from rich.console import Console
 
 from base_station.calibration.command import Calibrate, calibrate_camera, spelt_out
 from base_station.configuration import config_file, read_settings
+from base_station.console.launcher import ConsoleSettings
+from base_station.console_option import watching_console
 from base_station.discovery import find_robots
+from base_station.display import log_to
 from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
@@ -82,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run(command, console)
             return EXIT_DONE
         if isinstance(command, Replay):
-            replay_run(command, console)
+            _replay(command, console)
             return EXIT_DONE
         if isinstance(command, Compare):
             compare(command, console)
@@ -120,6 +123,15 @@ def _run_defaults(arguments: Sequence[str]) -> Run:
 def _failed(error: StationError, console: Console) -> int:
     console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
     return EXIT_USAGE if error.usage else EXIT_FAILED
+
+
+def _replay(command: Replay, console: Console) -> None:
+    if not command.console:
+        replay_run(command, console)
+        return
+    log_to(console)
+    settings = ConsoleSettings(host=command.console_host, port=command.console_port)
+    replay_run(command, console, watching_console(settings))
 
 
 def _score(command: Score) -> int:

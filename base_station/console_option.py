@@ -1,9 +1,9 @@
-"""`--console`: publishes a station, and opens a console on what is published."""
+"""`--console`: publishes a station or a replay, and opens a console on what is published."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
 from base_station.behaviours.registry import BEHAVIOURS
@@ -12,6 +12,9 @@ from base_station.errors import StationError
 from base_station.landmark_shelf import LandmarkShelf
 from base_station.publication.service import OrderTaker, Publication
 from base_station.publication.states import Choices, RobotView
+from base_station.recording.replay import ReplayedRobot
+from base_station.recording.replay_command import Watch
+from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import tracker_names
 
@@ -22,6 +25,16 @@ def check_console(settings: ConsoleSettings) -> None:
     """Find mistakes of usage before anything is opened. Raises StationError."""
     if not 1 <= settings.port <= 65535:
         raise StationError(f"--console-port must be 1..65535, not {settings.port}.", usage=True)
+
+
+def watching_console(settings: ConsoleSettings) -> Watch:
+    """For a replay: opens a console that shows it, and returns whom to tell of every step. Raises StationError."""
+    check_console(settings)
+
+    def watch(stack: ExitStack, robot: ReplayedRobot) -> Sequence[Callable[[Step], None]]:
+        return [open_console(stack, settings, robot, tracker=lambda: robot.tracker).step]
+
+    return watch
 
 
 def open_console(

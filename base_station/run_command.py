@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import logging
 import math
 import queue
 import signal
@@ -17,7 +16,6 @@ from types import FrameType
 from typing import Annotated
 
 from rich.console import Console
-from rich.logging import RichHandler
 from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
@@ -27,7 +25,7 @@ from base_station.calibration.camera_file import named_camera
 from base_station.configuration import as_toml
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import check_console, open_console
-from base_station.display import StatusLine, summary_table
+from base_station.display import StatusLine, log_to, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.picture import RunPicture
@@ -169,8 +167,7 @@ def run(run: Run, console: Console) -> None:
         return
     for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
         signal.signal(number, _end_at_once)
-    handler = RichHandler(console=console, show_path=False)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
+    log_to(console)
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow, from_memory=run.landmark is not None)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other

@@ -69,6 +69,12 @@ class Replay:
     """Draw shift, bearing, zoom and confidence over time to this PNG file."""
     record: Path | None = None
     """Record the replay, pictures without loss, to this MCAP file."""
+    console: bool = False
+    """Watch it in the browser, at the rate at which the frames were taken; the terminal tells the address."""
+    console_host: str = "127.0.0.1"
+    """Address to serve the console at; any but this machine's own asks its visitors for a token."""
+    console_port: int = 8080
+    """The first port to try for the console."""
 
 
 class _Rows:
@@ -141,6 +147,8 @@ def _check(command: Replay) -> float | None:
     check_picture(command.picture)
     if command.max_frames is not None and command.max_frames < 1:
         raise StationError(f"--max-frames must be at least 1, not {command.max_frames}.", usage=True)
+    if command.console and command.speed == FAST:
+        return 1.0
     if command.realtime:
         if command.speed not in (FAST, "1"):
             raise StationError("--realtime is --speed 1: give one of both.", usage=True)
