@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from base_station.calibration.board import CalibrationBoard
 from base_station.cli import main
 from protocol.camera_file import read_camera_file
+from tests.base_station.calibration.boards import MATRIX, SIZE, drawn_pose, picture
 from tests.helpers import Operator, Programs, free_ports, write_pictures
 
 WITHIN = 0.005
@@ -89,6 +91,31 @@ def test_a_calibration_that_cannot_be(programs: Programs, pictures: Path, tmp_pa
     station = programs.station(port, "--camera", options[1], "--max-frames", "3")
     assert station.exit_code() == 2, station.stderr
     assert said in station.stderr
+
+
+@pytest.mark.parametrize("layout", ["folder", "video"])
+def test_from_pictures(capsys, tmp_path: Path, layout: str) -> None:
+    """A folder of pictures, and a video in which the board is held still now and then: the lens's camera comes out."""
+    rng, board = np.random.default_rng(3), CalibrationBoard()
+    shown = [picture(board, *drawn_pose(rng, board)) for _ in range(10)]
+    source = tmp_path / ("pictures" if layout == "folder" else "board.avi")
+    if layout == "folder":
+        source.mkdir()
+        for number, image in enumerate(shown):
+            cv2.imwrite(str(source / f"{number:02d}.png"), image)
+    else:
+        video = cv2.VideoWriter(str(source), cv2.VideoWriter_fourcc(*"MJPG"), 30, SIZE)
+        for image in shown:
+            for _ in range(2):
+                video.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        video.release()
+    file = tmp_path / "camera.yaml"
+    assert main(["calibrate", "--images", str(source), "-o", str(file)]) == 0
+    said = capsys.readouterr().err
+    assert "10 of 10" in said and "careful: the views lack something" in said
+    own = read_camera_file(file.read_text()).intrinsics
+    assert (own.fx, own.fy) == pytest.approx((MATRIX[0, 0], MATRIX[1, 1]), rel=0.01)
+    assert own.distortion[0] == pytest.approx(-0.28, abs=0.04)
 
 
 def test_usage(capsys, tmp_path: Path) -> None:
