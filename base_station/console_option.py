@@ -34,8 +34,9 @@ def open_console(
     tracker: Callable[[], Tracker | None] = lambda: None,
     outcome: Callable[[], str] = lambda: "",
     own_trackers: tuple[str, ...] = (),
+    say: Callable[[str], None] = log.info,
 ) -> Publication:
-    """Until the stack ends; says the address. Call the publication's `step` and `wait` from the loop.
+    """Until the stack ends; `say` gets the address. Call the publication's `step` and `wait` from the loop.
 
     `orders`: None for a replay, which takes none. Raises StationError when there can be no console.
     """
@@ -55,5 +56,5 @@ def open_console(
     )
     stack.enter_context(publication)
     console = stack.enter_context(ConsoleProcess(publication.addresses.folder, settings))
-    log.info("console: %s", console.address)
+    say(f"console: {console.address}")
     return publication

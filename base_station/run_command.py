@@ -35,6 +35,7 @@ from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link, LinkSettings
 from base_station.orders import LANDMARK
+from base_station.publication.service import Publication
 from base_station.results import ResultsFile
 from base_station.station import Station, StationSettings, Step
 from base_station.terminal import pressed_keys
@@ -172,7 +173,10 @@ def run(run: Run, console: Console) -> None:
         stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
         stack.callback(station.close)
         if run.console:
-            _open_console(run, stack, link, station, shelf, watching, waiting)
+            say = functools.partial(console.print, soft_wrap=True, markup=False)  # a long address stays in one line
+            publication = _open_console(run, stack, link, station, shelf, say)
+            watching.append(publication.step)
+            waiting.append(publication.wait)
         keys = stack.enter_context(pressed_keys())
         if keys is not None:
             obey = functools.partial(_obey_keys, keys, station, driving)
@@ -213,11 +217,10 @@ def _open_console(
     link: Link,
     station: Station,
     shelf: LandmarkShelf,
-    watching: list[Callable[[Step], None]],
-    waiting: list[Callable[[], None]],
-) -> None:
+    say: Callable[[str], None],
+) -> Publication:
     """For as long as the stack lasts. Raises StationError."""
-    publication = open_console(
+    return open_console(
         stack,
         _console_settings(run),
         link,
@@ -226,9 +229,8 @@ def _open_console(
         tracker=lambda: station.tracker,
         outcome=lambda: station.outcome.text if station.outcome is not None else "",
         own_trackers=tuple(name for name in (run.tracker, run.shadow) if name is not None),
+        say=say,
     )
-    watching.append(publication.step)
-    waiting.append(publication.wait)
 
 
 def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:

@@ -44,17 +44,17 @@ class Scene:
 
     def _build(self) -> None:
         with self._place:
-            self._scene = self._ui.scene(width=700, height=320, grid=(10, 10), fps=FPS, background_color="#12171c")
-        self._scene.style("width: 100%; height: 320px").classes("scene")
+            self._scene = self._ui.scene(width=700, height=300, grid=(10, 10), fps=FPS, background_color="#12171c")
+        self._scene.style("width: 100%; height: 300px").classes("scene")
         with self._scene as scene:
-            self._points = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.035)
-            self._keyframes = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.12)
+            self._points = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.05)
+            self._keyframes = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.15)
             with scene.group() as self._camera:
                 corners = [[x * 0.25, y * 0.25, 0.4] for x, y in SIDES]
                 for i, corner in enumerate(corners):
                     scene.line([0, 0, 0], corner).material(CAMERA)
                     scene.line(corner, corners[(i + 1) % 4]).material(CAMERA)
-        scene.move_camera(x=0, y=-6, z=4, look_at_x=0, look_at_y=1, look_at_z=0, duration=0)
+        scene.move_camera(x=0, y=-4.5, z=3.5, look_at_x=0, look_at_y=0.5, look_at_z=0, duration=0)
 
     def _draw(self, world: Map) -> None:
         points, keyframes = rows_of(world.points), rows_of(world.keyframes)

@@ -162,7 +162,8 @@ def test_loopback_is_told_from_other_addresses(host, own):
 def test_addresses_can_be_opened():
     assert address_text("127.0.0.1", 8080, None) == "http://127.0.0.1:8080/"
     assert address_text("::1", 8080, None) == "http://[::1]:8080/"
-    assert address_text("0.0.0.0", 81, "t") == f"http://{socket.gethostname()}:81/?token=t"
+    told = address_text("0.0.0.0", 81, "t")
+    assert told.endswith(":81/?token=t") and "0.0.0.0" not in told
 
 
 def test_a_taken_port_gives_the_next_one_and_says_so(caplog):
