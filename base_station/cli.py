@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import sys
 from collections.abc import Sequence
@@ -17,7 +18,6 @@ from base_station.configuration import config_file, read_settings
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import watching_console
 from base_station.discovery import find_robots
-from base_station.display import log_to
 from base_station.errors import StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
 from base_station.evaluation.overlap import read_results, read_truth, score_boxes
@@ -129,9 +129,9 @@ def _replay(command: Replay, console: Console) -> None:
     if not command.console:
         replay_run(command, console)
         return
-    log_to(console)
     settings = ConsoleSettings(host=command.console_host, port=command.console_port)
-    replay_run(command, console, watching_console(settings))
+    say = functools.partial(console.print, soft_wrap=True, markup=False)
+    replay_run(command, console, watching_console(settings, say))
 
 
 def _score(command: Score) -> int:

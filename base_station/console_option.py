@@ -27,12 +27,12 @@ def check_console(settings: ConsoleSettings) -> None:
         raise StationError(f"--console-port must be 1..65535, not {settings.port}.", usage=True)
 
 
-def watching_console(settings: ConsoleSettings) -> Watch:
-    """For a replay: opens a console that shows it, and returns whom to tell of every step. Raises StationError."""
+def watching_console(settings: ConsoleSettings, say: Callable[[str], None]) -> Watch:
+    """For a replay: opens a console that shows it; `say` gets the address. Raises StationError."""
     check_console(settings)
 
     def watch(stack: ExitStack, robot: ReplayedRobot) -> Sequence[Callable[[Step], None]]:
-        return [open_console(stack, settings, robot, tracker=lambda: robot.tracker).step]
+        return [open_console(stack, settings, robot, tracker=lambda: robot.tracker, say=say).step]
 
     return watch
 
@@ -47,8 +47,9 @@ def open_console(
     tracker: Callable[[], Tracker | None] = lambda: None,
     outcome: Callable[[], str] = lambda: "",
     own_trackers: tuple[str, ...] = (),
+    say: Callable[[str], None] = log.info,
 ) -> Publication:
-    """Until the stack ends; says the address. Call the publication's `step` and `wait` from the loop.
+    """Until the stack ends; `say` gets the address. Call the publication's `step` and `wait` from the loop.
 
     `orders`: None for a replay, which takes none. Raises StationError when there can be no console.
     """
@@ -68,5 +69,5 @@ def open_console(
     )
     stack.enter_context(publication)
     console = stack.enter_context(ConsoleProcess(publication.addresses.folder, settings))
-    log.info("console: %s", console.address)
+    say(f"console: {console.address}")
     return publication

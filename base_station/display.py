@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections import deque
 
 from rich.console import Console
 from rich.live import Live
-from rich.logging import RichHandler
 from rich.table import Table
 from rich.text import Text
 
@@ -22,12 +20,6 @@ REFRESH_S = 0.2
 PLAIN_REFRESH_S = 2.0
 """Without a terminal: a line of text this often."""
 STYLES = {TrackingState.TRACKING: "bold green", TrackingState.LOST: "bold red", TrackingState.INITIALIZING: "yellow"}
-
-
-def log_to(console: Console) -> None:
-    """What the program's parts say while they run goes there."""
-    handler = RichHandler(console=console, show_path=False)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
 
 
 class StatusLine:

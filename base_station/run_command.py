@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import logging
 import math
 import queue
 import signal
@@ -16,6 +17,7 @@ from types import FrameType
 from typing import Annotated
 
 from rich.console import Console
+from rich.logging import RichHandler
 from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
@@ -25,7 +27,7 @@ from base_station.calibration.camera_file import named_camera
 from base_station.configuration import as_toml
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import check_console, open_console
-from base_station.display import StatusLine, log_to, summary_table
+from base_station.display import StatusLine, summary_table
 from base_station.errors import StationError
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.picture import RunPicture
@@ -35,6 +37,7 @@ from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link, LinkSettings
 from base_station.orders import LANDMARK
+from base_station.publication.service import Publication
 from base_station.recording.session import recording_of
 from base_station.results import ResultsFile
 from base_station.station import Station, StationSettings, Step
@@ -167,7 +170,8 @@ def run(run: Run, console: Console) -> None:
         return
     for number in END_SIGNALS:  # until the loop runs, a signal simply ends the program
         signal.signal(number, _end_at_once)
-    log_to(console)
+    handler = RichHandler(console=console, show_path=False)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
     log = LoopLog(tracker=run.tracker, behaviour=run.behaviour, shadow=run.shadow, from_memory=run.landmark is not None)
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # small matrices: more threads only wait for each other
@@ -192,7 +196,10 @@ def run(run: Run, console: Console) -> None:
             hearing.append(recorder.note_telemetry)
         stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
         if run.console:
-            _open_console(run, stack, link, station, shelf, watching, waiting)
+            say = functools.partial(console.print, soft_wrap=True, markup=False)  # a long address stays in one line
+            publication = _open_console(run, stack, link, station, shelf, say)
+            watching.append(publication.step)
+            waiting.append(publication.wait)
         keys = stack.enter_context(pressed_keys())
         if keys is not None:
             obey = functools.partial(_obey_keys, keys, station, driving)
@@ -239,11 +246,10 @@ def _open_console(
     link: Link,
     station: Station,
     shelf: LandmarkShelf,
-    watching: list[Callable[[Step], None]],
-    waiting: list[Callable[[], None]],
-) -> None:
+    say: Callable[[str], None],
+) -> Publication:
     """For as long as the stack lasts. Raises StationError."""
-    publication = open_console(
+    return open_console(
         stack,
         _console_settings(run),
         link,
@@ -252,9 +258,8 @@ def _open_console(
         tracker=lambda: station.tracker,
         outcome=lambda: station.outcome.text if station.outcome is not None else "",
         own_trackers=tuple(name for name in (run.tracker, run.shadow) if name is not None),
+        say=say,
     )
-    watching.append(publication.step)
-    waiting.append(publication.wait)
 
 
 def _status_line(run: Run, console: Console, link: Link, has_keys: bool) -> StatusLine:

@@ -20,7 +20,7 @@ from base_station.console.web import fastapi, nicegui, uvicorn
 from base_station.publication.schema import Addresses
 from protocol.records import from_map
 
-FAREWELL_S = 1.5
+FAREWELL_S = 0.7
 """After the station's end: so long pages can still hear of it."""
 
 

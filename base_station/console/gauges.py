@@ -12,7 +12,7 @@ NEAR = 2000
 """...and where it is near."""
 FRONT, REAR = 5, 2
 LOOP, DELAY, TRACKER, DROPPED, BATTERY, CONFIDENCE = FACTS = (
-    "Loop", "Frame to command, median | 95 %", "Tracker, median", "Frames dropped, robot + loop", "Battery",
+    "Loop", "Frame to command, p50 | p95", "Tracker, median", "Frames dropped, robot + loop", "Battery",
     "Confidence",
 )  # fmt: skip
 

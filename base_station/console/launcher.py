@@ -60,7 +60,7 @@ class ConsoleProcess:
         self._token = None if is_loopback(settings.host) else secrets.token_urlsafe(24)
         self._listening = listen(settings)
         self._port: int = self._listening.getsockname()[1]
-        self._process: subprocess.Popen[str] | None = None
+        self.process: subprocess.Popen[str] | None = None
         self._ending = False
         self._said: deque[str] = deque(maxlen=LAST_WORDS)
         self._watching = threading.Thread(target=self._watch, name="console", daemon=True)
@@ -72,7 +72,7 @@ class ConsoleProcess:
 
     def __enter__(self) -> ConsoleProcess:
         descriptor = self._listening.fileno()
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [sys.executable, "-m", "base_station.console"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
@@ -83,16 +83,16 @@ class ConsoleProcess:
             process_group=0,  # Ctrl-C in the terminal is for the station, which then ends the console
         )
         told = Instructions(folder=str(self._folder), descriptor=descriptor, port=self._port, token=self._token)
-        assert self._process.stdin is not None
+        assert self.process.stdin is not None
         with contextlib.suppress(OSError):  # it has ended already: `_watch` says so
-            self._process.stdin.write(json.dumps(asdict(told)) + "\n")
-            self._process.stdin.flush()
+            self.process.stdin.write(json.dumps(asdict(told)) + "\n")
+            self.process.stdin.flush()
         self._listening.close()
         self._watching.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        process, self._ending = self._process, True
+        process, self._ending = self.process, True
         assert process is not None and process.stdin is not None
         with contextlib.suppress(OSError):
             process.stdin.close()
@@ -105,7 +105,7 @@ class ConsoleProcess:
 
     def _watch(self) -> None:
         """Read what it says, so that it never waits for that; and tell when it ends by itself."""
-        process = self._process
+        process = self.process
         assert process is not None and process.stderr is not None
         for line in process.stderr:
             self._said.append(line.rstrip())
@@ -152,13 +152,21 @@ def listen(settings: ConsoleSettings) -> socket.socket:
 
 
 def address_text(host: str, port: int, token: str | None) -> str:
-    """As it is opened in a browser. Of all addresses (0.0.0.0) the machine's own name is told."""
+    """As it is opened in a browser. Of all addresses (0.0.0.0) the one towards the network is told."""
     named = host
     try:
         if ipaddress.ip_address(host).is_unspecified:
-            named = socket.gethostname()
+            named = _own_address()
         elif ":" in host:
             named = f"[{host}]"
     except ValueError:
         pass
     return f"http://{named}:{port}/" + (f"?token={token}" if token else "")
+
+
+def _own_address() -> str:
+    """Of this machine in its network, else its name. Nothing is sent: connecting a datagram socket only chooses."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as choosing:
+        choosing.connect(("192.0.2.1", 9))  # an address that is nobody's
+        return str(choosing.getsockname()[0])
+    return socket.gethostname()

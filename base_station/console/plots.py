@@ -29,7 +29,7 @@ class HistoryPlot:
     def __init__(self, ui: Any, feed: Feed) -> None:
         self._feed, self._refreshes = feed, 0
         with ui.element("div").classes("panel plots"):
-            self._chart = ui.echart(history_options()).style("height: 214px; width: 100%")
+            self._chart = ui.echart(history_options()).style("height: 220px; width: 100%")
 
     def show(self, state: State) -> None:
         """Bring in what has changed."""
@@ -68,7 +68,7 @@ class SignaturePlot:
 
 def history_options() -> dict[str, Any]:
     """Four small plots, two by two, for ECharts."""
-    places = [(f"{left}%", top) for top in (3, 109) for left in (0, 52)]
+    places = [(f"{left}%", top) for top in (3, 115) for left in (0, 52)]
     grids = [
         {"left": left, "width": "46%", "top": top + 20, "height": 80, "containLabel": True} for left, top in places
     ]

@@ -10,10 +10,10 @@ from base_station.console.feed import Feed
 from base_station.publication.schema import Map, State
 
 FPS = 6
-POINT, KEYFRAME, CAMERA = "#8b98a5", "#e08a1e", "#3b8ff0"
+POINT, KEYFRAME, CAMERA = "#b9c4cf", "#e08a1e", "#3b8ff0"
 SIDES = ((-1, -0.75), (1, -0.75), (1, 0.75), (-1, 0.75))
 """Corners of the camera's picture, x and y at depth 1.6."""
-EXTENT = 4.0
+EXTENT = 3.0
 """Half the scene; a map of any unit is scaled to that."""
 
 
@@ -44,25 +44,24 @@ class Scene:
 
     def _build(self) -> None:
         with self._place:
-            self._scene = self._ui.scene(width=700, height=320, grid=(10, 10), fps=FPS, background_color="#12171c")
-        self._scene.style("width: 100%; height: 320px").classes("scene")
+            self._scene = self._ui.scene(width=700, height=300, grid=(10, 10), fps=FPS, background_color="#12171c")
+        self._scene.style("width: 100%; height: 300px").classes("scene")
         with self._scene as scene:
-            self._points = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.035)
-            self._keyframes = scene.point_cloud([[0, 0, 0]], [[0, 0, 0]], point_size=0.12)
+            self._points = scene.point_cloud([[0, 0, 0]], point_size=0.06).material(POINT)
+            self._keyframes = scene.point_cloud([[0, 0, 0]], point_size=0.18).material(KEYFRAME)
             with scene.group() as self._camera:
                 corners = [[x * 0.25, y * 0.25, 0.4] for x, y in SIDES]
                 for i, corner in enumerate(corners):
                     scene.line([0, 0, 0], corner).material(CAMERA)
                     scene.line(corner, corners[(i + 1) % 4]).material(CAMERA)
-        scene.move_camera(x=0, y=-6, z=4, look_at_x=0, look_at_y=1, look_at_z=0, duration=0)
+        scene.move_camera(x=0, y=-4.5, z=3.5, look_at_x=0, look_at_y=0.8, look_at_z=0, duration=0)
 
     def _draw(self, world: Map) -> None:
         points, keyframes = rows_of(world.points), rows_of(world.keyframes)
         self._counts.set_text(f"{world.keyframe_count} keyframes, {world.point_count} points")
         middle, scale = fitted(np.concatenate([points, keyframes]))
-        for cloud, rows, colour in ((self._points, points, POINT), (self._keyframes, keyframes, KEYFRAME)):
-            placed = to_scene((rows - middle) * scale)
-            cloud.set_points(np.round(placed, 3).tolist(), [rgb(colour)] * len(placed))
+        for cloud, rows in ((self._points, points), (self._keyframes, keyframes)):
+            cloud.set_points(np.round(to_scene((rows - middle) * scale), 3).tolist())
         self._camera.visible(world.camera is not None)
         if world.camera is not None:
             pose = np.array(world.camera).reshape(4, 4)
@@ -84,7 +83,7 @@ def fitted(rows: np.ndarray) -> tuple[np.ndarray, float]:
     if not len(rows):
         return np.zeros(3), 1.0
     middle = np.median(rows, 0)
-    far = float(np.percentile(np.abs(rows - middle).max(1), 90))
+    far = float(np.percentile(np.abs(rows - middle).max(1), 80))
     return middle, EXTENT / far if far > 1e-9 else 1.0
 
 
@@ -92,8 +91,3 @@ def rows_of(data: bytes) -> np.ndarray:
     """(n, 3) of float32 numbers, little endian; what is no whole row is left out."""
     numbers = np.frombuffer(data[: len(data) // 12 * 12], "<f4").astype(float)
     return numbers.reshape(-1, 3)
-
-
-def rgb(colour: str) -> list[float]:
-    """Of "#rrggbb", 0..1 each."""
-    return [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]

@@ -9,16 +9,19 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 import zmq
 
 from base_station.publication.schema import MAP, STATE, Addresses, encode
 from base_station.publication.states import StateMaker, map_of
 from base_station.station import Step
-from base_station.trackers.base import Maps, Shown, Shows, Tracker
+from base_station.trackers.base import Maps, MapView, Shown, Shows, Tracker
 
 STATE_PERIOD_S = 0.1
 MAP_PERIOD_S = 0.5
+
+T = TypeVar("T")
 
 
 class Publisher:
@@ -34,13 +37,14 @@ class Publisher:
         self._maker, self._tracker = maker, tracker
         self._pictures = _socket(context, addresses.pictures, 1)
         self._states = _socket(context, addresses.state, 4)
+        self._mute: Tracker | None = None
         self._state_s = self._map_s = float("-inf")
 
     def step(self, step: Step) -> None:
         """A frame was dealt with, just now."""
         maker, tracker = self._maker, self._tracker()
         maker.note_step(step)
-        shown = tracker.show() if isinstance(tracker, Shows) else None
+        shown = self._ask(tracker, Shown, tracker.show) if isinstance(tracker, Shows) else None
         with contextlib.suppress(zmq.Again):
             self._pictures.send(encode(maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
             self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
@@ -67,9 +71,25 @@ class Publisher:
         if now_s - self._map_s < MAP_PERIOD_S or not isinstance(tracker, Maps):
             return
         self._map_s = now_s
-        view = tracker.show_map()
+        view = self._ask(tracker, MapView, tracker.show_map)
         if view is not None:
             self._send(MAP + encode(map_of(view)))
+
+    def _ask(self, tracker: Tracker, kind: type[T], show: Callable[[], object]) -> T | None:
+        """What the tracker shows. A user's own may fail here, or mean something else by the name: it is not asked
+        again, and the robot goes on."""
+        if tracker is self._mute:
+            return None
+        try:
+            shown = show()
+            if shown is None or isinstance(shown, kind):
+                return shown
+            wrong = f"{type(shown).__name__}, not {kind.__name__}"
+        except Exception as error:
+            wrong = f"{type(error).__name__}: {error}"
+        self._mute = tracker
+        self._maker.notice(f"{type(tracker).__name__} cannot show itself ({wrong})")
+        return None
 
     def _send(self, message: bytes) -> None:
         with contextlib.suppress(zmq.Again):

@@ -293,6 +293,35 @@ def test_a_page_that_drives_and_goes_lets_the_robot_stand(stage: Stage, leaving:
     page.close()
 
 
+PLUG_IN = """
+() => {
+  window.stick = [0, -1];
+  const pad = { connected: true, id: "test", buttons: [], get axes() { return window.stick } };
+  navigator.getGamepads = () => window.stick ? [pad] : [];
+}
+"""
+"""No gamepad is plugged into this machine: one that the page reads like any other, with its stick pushed forward."""
+
+
+def test_the_pages_pad_and_a_gamepad_drive_while_they_are_held(stage: Stage) -> None:
+    page = stage.page
+    stage.behave("teleop")
+    pad = page.locator('[data-drive="backward"]')
+    pad.hover()
+    page.mouse.down()
+    backing = stage.log.wait_for(driving, since_s=stage.now_s(), what="wheels that turn")
+    assert max(backing.wheels_asked) < 0
+    page.mouse.up()
+    stage.log.wait_for(lambda m: m.wheels_asked == (0, 0), 1.0, since_s=stage.now_s(), what="wheels asked to stand")
+    page.bring_to_front()
+    page.evaluate(PLUG_IN)
+    forward = stage.log.wait_for(driving, since_s=stage.now_s(), what="wheels that turn")
+    assert min(forward.wheels_asked) > 0
+    page.evaluate("() => { window.stick = null }")
+    stage.log.wait_for(lambda m: m.wheels_asked == (0, 0), 1.0, since_s=stage.now_s(), what="wheels asked to stand")
+    stage.behave("idle")
+
+
 def test_nothing_was_asked_of_any_other_machine(stage: Stage) -> None:
     asked = [url for url in stage.requests if not url.startswith(("data:", "blob:"))]
     assert len(asked) > 20

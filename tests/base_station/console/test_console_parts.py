@@ -19,7 +19,7 @@ from base_station.console.launcher import ConsoleProcess, ConsoleSettings, addre
 from base_station.console.line import SILENT, Line
 from base_station.console.plots import CURVES, history_options, history_series
 from base_station.console.routes import LARGEST_ORDER_BYTES, read_order
-from base_station.console.scene import fitted, rgb, rows_of, to_scene
+from base_station.console.scene import fitted, rows_of, to_scene
 from base_station.errors import StationError
 from base_station.orders import Order
 from base_station.publication.schema import Head, Seen, State, Wish
@@ -162,7 +162,8 @@ def test_loopback_is_told_from_other_addresses(host, own):
 def test_addresses_can_be_opened():
     assert address_text("127.0.0.1", 8080, None) == "http://127.0.0.1:8080/"
     assert address_text("::1", 8080, None) == "http://[::1]:8080/"
-    assert address_text("0.0.0.0", 81, "t") == f"http://{socket.gethostname()}:81/?token=t"
+    told = address_text("0.0.0.0", 81, "t")
+    assert told.endswith(":81/?token=t") and "0.0.0.0" not in told
 
 
 def test_a_taken_port_gives_the_next_one_and_says_so(caplog):
@@ -233,4 +234,3 @@ def test_the_map_is_turned_upright_and_fitted():
     assert middle == pytest.approx([5, 5, 5], abs=0.01) and scale > 100
     assert fitted(np.empty((0, 3)))[1] == 1.0 and fitted(np.ones((3, 3)))[1] == 1.0
     assert rows_of(np.arange(7, dtype="<f4").tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
-    assert rgb("#ff0080") == [1.0, 0.0, pytest.approx(0.502, abs=0.01)]

@@ -245,6 +245,21 @@ def test_pictures_states_and_maps_arrive(context):
         assert from_bytes(Map, kinds[MAP]).point_count == 4
 
 
+@pytest.mark.parametrize("shows", [lambda: 1 / 0, lambda: "a window", lambda frame: None])
+def test_a_tracker_that_means_something_else_by_show_stops_nothing(context, shows):
+    tracker = Mapper()
+    tracker.show = shows
+    with Publication(Robot(), lambda: CHOICES, tracker=lambda: tracker) as publication:
+        states = subscribed(context, publication.addresses.state)
+
+        def told() -> list[str]:
+            publication.step(step_of())
+            return [n.text for n in from_bytes(State, states.recv()[1:]).notices] if states.poll(20) else []
+
+        notices = wait_until(told, 5.0, "a word about it")
+        assert len(notices) == 1 and "cannot show itself" in notices[0]
+
+
 LISTENER = """
 import sys, zmq
 for address in sys.argv[1:]:
