@@ -50,6 +50,9 @@ def test_it_follows_and_is_the_same_every_time():
             frames = drive(slam, ALONG)
             slam.finish()
             runs.append(slam.trajectory())
+            assert len(slam.statistics().timings_ms["mapper: settled"]) == 1
+            slam.finish()  # nothing new: the map stays as it is
+            assert len(slam.statistics().timings_ms["mapper: settled"]) == 1
             states = [frame.state for frame in frames]
             first = states.index(TrackingState.TRACKING)
             assert first < 15
@@ -131,10 +134,13 @@ def slam_that_tracks():
 
 
 def test_a_loop_is_closed_and_the_map_is_one():
-    """Once around in a room, looking outwards: what is seen at the end was seen at the start, and nothing between."""
+    """Once around in a room, looking outwards: what is seen at the end was seen at the start, and nothing between.
+
+    Six centimetres a frame: with four, a turn of 2.5 degrees shows too little depth for some rooms to be followed.
+    """
     room = Room(CAMERA, size=(6.0, 3.0, 6.0), seed=3)
     angles = np.radians(2.5 * np.arange(172))
-    poses = [standing(np.sin(a), np.cos(a), a + 0.6, 0.1 * np.sin(3 * a)) for a in angles]
+    poses = [standing(1.4 * np.sin(a), 1.4 * np.cos(a), a + 0.6, 0.1 * np.sin(3 * a)) for a in angles]
     with SlamSystem(CAMERA, settings=SlamSettings(features=FeatureSettings(count=700)), single_process=True) as slam:
         states = [slam.track(room.picture(pose), k * FRAME_S).state for k, pose in enumerate(poses)]
         slam.finish()
@@ -143,7 +149,7 @@ def test_a_loop_is_closed_and_the_map_is_one():
         assert counts.maps == 1
         assert states.count(TrackingState.TRACKING) > 150
         metres, _ = errors(slam, poses)
-        assert 0.005 < np.sqrt(np.mean(metres**2)) < 0.07  # of 7.5 m; 0.037 when this was written
+        assert 0.005 < np.sqrt(np.mean(metres**2)) < 0.05  # of 10.5 m; 0.021 when this was written
 
 
 def test_with_the_mapper_in_a_process_of_its_own_which_ends():
