@@ -171,8 +171,10 @@ class SlamTracker(PatchTracker):
         self._slam.finish()
         counts = self._slam.statistics()
         return Survey(
-            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps
-        )
+            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps,
+            confirmed=sum(one.kind == "confirmed" for one in counts.closures),
+            loop_times_s=tuple(one.time_s for one in counts.closures if one.kind != "merge"),
+        )  # fmt: skip
 
     def _end_mapper(self) -> None:
         if self._slam is not None:
