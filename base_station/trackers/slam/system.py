@@ -253,24 +253,35 @@ class SlamSystem:
         return float(np.isin(sure, picture.point_of).mean()) if len(sure) else 0.0
 
     def _keep(self, picture: Picture, where: _Tracked) -> None:
-        row, self._next_row = self._next_row, self._next_row + 1
         self._keyframe_frame = self._counts.frames
-        self._map.features[row] = picture.features
-        words = self._places.words(picture.features)
+        self._send(picture.features, picture.point_of.copy(), where, *self._tracker.take_counts())
+
+    def insert(self, time_s: float, features: Features, point_of: np.ndarray, cam_from_world: np.ndarray) -> int:
+        """Make a keyframe of a picture that was not tracked, but shows points of the map in use; its number.
+
+        `point_of` (n,): which point each feature shows, -1 for none. `cam_from_world`: about where it was taken.
+        """
+        reference = self.reference
+        relative = orthonormal(cam_from_world @ inverse(self._map.poses[reference]))
+        none = np.empty(0, np.int64)
+        where = _Tracked(time_s, reference, relative, float(self._map.sizes[reference]))
+        return self._send(features, point_of, where, none, none, none)
+
+    def _send(
+        self, features: Features, point_of: np.ndarray, where: _Tracked,
+        counted: np.ndarray, expected: np.ndarray, found: np.ndarray,
+    ) -> int:  # fmt: skip
+        row, self._next_row = self._next_row, self._next_row + 1
+        self._map.features[row] = features
+        words = self._places.words(features)
         self._places.add(row, words)
         self._link.send(
             NewKeyframe(
-                row,
-                picture.time_s,
-                picture.features,
-                picture.point_of.copy(),
-                where.reference,
-                where.cam_from_reference,
-                where.size,
-                words,
-                *self._tracker.take_counts(),
+                row, where.time_s, features, point_of, where.reference, where.cam_from_reference, where.size, words,
+                counted, expected, found,
             )
-        )
+        )  # fmt: skip
+        return row
 
     def _lost(self, time_s: float, reason: str) -> SlamFrame:
         self._tracker.stopped()
@@ -351,6 +362,7 @@ class SlamSystem:
     def keyframes(self) -> list[tuple[float, np.ndarray]]:
         """(time_s, world_from_cam 4x4) of the largest map's keyframes."""
         rows = self._map.keyframes_alive(self._largest())
+        rows = rows[np.argsort(self._map.time_s[rows], kind="stable")]
         return [(float(self._map.time_s[row]), inverse(self._map.poses[row])) for row in rows]
 
     def points(self) -> np.ndarray:
