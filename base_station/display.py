@@ -152,6 +152,7 @@ def summary_table(summary: Summary) -> Table:
         ("keyframes", summary.keyframes, "{:d}"),
         ("maps", summary.maps, "{:d}"),
         ("loops closed", summary.loops_closed, "{:d}"),
+        ("loops confirmed", summary.loops_confirmed, "{:d}"),
         ("frames with a pose in the map", _percent(summary.trajectory_share), "{:.1f} %"),
         ("trajectory error, ATE", summary.ate_rmse_m, "{:.3f} m"),
         ("trajectory error, share of the path", _percent(summary.ate_share_of_path), "{:.2f} %"),

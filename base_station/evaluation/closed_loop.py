@@ -86,6 +86,10 @@ class Summary:
     """Driven to their end, with behaviour route."""
     loops_closed: int | None
     """By a tracker that maps; so are the next ones."""
+    loops_confirmed: int | None
+    """Returns to a closed loop's place, recognised and found right where the map has it: nothing was left to close."""
+    loops_at_m: list[float] | None
+    """Truly driven when each loop was closed or confirmed."""
     keyframes: int | None
     maps: int | None
     trajectory_share: float | None

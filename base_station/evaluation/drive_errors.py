@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypedDict
 
 import numpy as np
@@ -18,6 +19,8 @@ class Mapped(TypedDict):
     """The fields of `closed_loop.Summary` that tell of the map."""
 
     loops_closed: int | None
+    loops_confirmed: int | None
+    loops_at_m: list[float] | None
     keyframes: int | None
     maps: int | None
     trajectory_share: float | None
@@ -30,11 +33,14 @@ def mapped(survey: Survey | None, truths: list[tuple[float, Truth]], path_m: flo
     map, and for errors where there is too little to compare."""
     if survey is None:
         return Mapped(
-            loops_closed=None, keyframes=None, maps=None, trajectory_share=None, ate_rmse_m=None, ate_share_of_path=None
-        )
+            loops_closed=None, loops_confirmed=None, loops_at_m=None, keyframes=None, maps=None, trajectory_share=None,
+            ate_rmse_m=None, ate_share_of_path=None,
+        )  # fmt: skip
     ate_m = _ate_m(survey, truths)
     return Mapped(
         loops_closed=survey.loops,
+        loops_confirmed=survey.confirmed,
+        loops_at_m=_driven_at_m(survey.loop_times_s, truths),
         keyframes=survey.keyframes,
         maps=survey.maps,
         trajectory_share=round(len(survey.trajectory) / len(truths), 6) if truths else None,
@@ -51,6 +57,16 @@ def world_from_camera(truth: Truth) -> np.ndarray:
     pose[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ CAMERA_FROM_ROBOT.T
     pose[:2, 3] = x, y
     return pose
+
+
+def _driven_at_m(times_s: Sequence[float], truths: list[tuple[float, Truth]]) -> list[float]:
+    """How far the robot had truly driven at these times."""
+    if not truths:
+        return []
+    places = np.array([truth.robot[:2] for _, truth in truths])
+    driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    found = np.interp(times_s, [time_s for time_s, _ in truths], driven_m)
+    return [round(float(metres), 3) for metres in found]
 
 
 def _ate_m(survey: Survey, truths: list[tuple[float, Truth]]) -> float | None:

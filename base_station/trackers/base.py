@@ -37,12 +37,15 @@ class Tracker(Protocol):
 @dataclass(frozen=True, kw_only=True)
 class Survey:
     """What a mapping tracker knows at the end. `trajectory`: (time_s, world_from_cam 4x4) of the frames with a pose in
-    the largest map, as corrected since; its unit and origin are the map's own."""
+    the largest map, as corrected since; its unit and origin are the map's own. `loops`: corrections of the map;
+    `confirmed`: returns to the place of one, which was found right where the map has it; `loop_times_s`: of both."""
 
     trajectory: list[tuple[float, np.ndarray]]
     loops: int
     keyframes: int
     maps: int
+    confirmed: int = 0
+    loop_times_s: tuple[float, ...] = ()
 
 
 @runtime_checkable

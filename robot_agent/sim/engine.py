@@ -190,6 +190,12 @@ class Engine:
         """Copy the scene for the next `draw`. Only in the camera's thread."""
         self._view.update(self._data, self._camera)
 
+    def aim_from(self, world_from_camera: np.ndarray) -> None:
+        """As `aim`, with the camera anywhere: 4x4, its axes right, down, forwards. Only until the next `refresh`."""
+        self._data.cam_xpos[self._camera] = world_from_camera[:3, 3]
+        self._data.cam_xmat[self._camera] = (world_from_camera[:3, :3] @ _CV_FROM_MUJOCO).reshape(9)
+        self.aim()
+
     def draw(self) -> np.ndarray:
         """The camera's picture of the copied scene: uint8 gray (height, width), without noise, in full light."""
         return self._view.draw()

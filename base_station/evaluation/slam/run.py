@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol
@@ -175,6 +175,7 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
         "loops": statistics.loops,
         "merges": statistics.merges,
         "relocalizations": statistics.relocalizations,
+        "closures": [asdict(closure) for closure in statistics.closures],
         "finish_s": run.finish_s,
         "memory_mib": run.memory_mib,
         "stages_ms": {

@@ -10,6 +10,7 @@ After Mur-Artal and Tardos 2017, section V, and Campos et al., "ORB-SLAM3", 2021
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import Map
 from base_station.trackers.slam.matching import Grid, match_everywhere, match_projections
 from base_station.trackers.slam.relocalization import Places
-from base_station.trackers.slam.se3 import inverse, transform
+from base_station.trackers.slam.se3 import inverse, rotation_angle_rad, transform
 from base_station.trackers.slam.sim3 import Sighted, Sim3Settings
+from base_station.trackers.slam.types import Closure
 from base_station.trackers.slam.visibility import expect
 
 
@@ -114,6 +116,23 @@ def _sighted(world: Map, keyframe: int, features: np.ndarray, camera: SlamCamera
     points = transform(world.poses[keyframe], world.xyz[world.point_of[keyframe, features]])
     seen = (of.xy_px[features] - camera.intrinsics[2:]) / camera.intrinsics[:2]
     return Sighted(points=points, seen=seen, sigma=world.scales[of.octave[features]] / camera.fx)
+
+
+def correction(world: Map, loop: Loop) -> Closure:
+    """What the loop is going to change, see `Closure`. To be asked before."""
+    kind: Literal["loop", "merge"] = (
+        "loop" if world.component[loop.candidate] == world.component[loop.keyframe] else "merge"
+    )
+    mapped = world.poses[loop.candidate] @ inverse(world.poses[loop.keyframe])
+    found = loop.candidate_from_keyframe
+    depth = float(np.median(transform(world.poses[loop.candidate], world.xyz[loop.points])[:, 2]))
+    return Closure(
+        kind=kind,
+        time_s=float(world.time_s[loop.keyframe]),
+        moved_of_depth=float(np.linalg.norm(found[:3, 3] - mapped[:3, 3])) / max(abs(depth), 1e-9),
+        turned_rad=rotation_angle_rad(sim3.rotation_of(found) @ mapped[:3, :3].T),
+        scale=float(sim3.scale_of(found)),
+    )
 
 
 def seen_from(world: Map, loop: Loop, keyframe: int) -> np.ndarray:

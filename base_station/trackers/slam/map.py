@@ -21,6 +21,7 @@ from numba import njit
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.popcount import hamming
 from base_station.trackers.slam.se3 import camera_centers, inverse
+from base_station.trackers.slam.types import Closure
 
 NONE = -1
 MEDOID_MOST = 24
@@ -37,7 +38,8 @@ POINT_COLUMNS = (
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened."""
+    """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened; `closure`:
+    the place that was recognised, if one was."""
 
     keyframes: np.ndarray
     points: np.ndarray
@@ -47,6 +49,7 @@ class MapUpdate:
     event: str = ""
     counts: dict[str, int] = field(default_factory=dict)
     timings_ms: dict[str, float] = field(default_factory=dict)
+    closure: Closure | None = None
 
 
 class Map:

@@ -18,11 +18,13 @@ from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.fusion import fuse_neighbourhood
 from base_station.trackers.slam.initialization import InitialPair
 from base_station.trackers.slam.local_bundle import adjust, adjust_locally
-from base_station.trackers.slam.loop_closing import find_loop
+from base_station.trackers.slam.loop_closing import correction, find_loop
 from base_station.trackers.slam.loop_correction import correct
 from base_station.trackers.slam.map import NONE, Map, MapUpdate, refresh_points
 from base_station.trackers.slam.new_points import make_points, median_depth
 from base_station.trackers.slam.relocalization import Places
+from base_station.trackers.slam.returning import Returns
+from base_station.trackers.slam.types import Closure
 from base_station.trackers.slam.whole_bundle import adjust_whole
 
 if TYPE_CHECKING:
@@ -85,7 +87,9 @@ class Mapper:
         self._young = np.empty(0, np.int32)
         self._places = Places(self.map, settings.places)
         self._closed: list[tuple[int, int]] = []
+        self._returns = Returns(camera, settings.returns)
         self._looked_after = 0
+        self._timings_ms: dict[str, float] = {}
 
     def begin(self, new: NewMap) -> MapUpdate:
         """Two keyframes and their points, adjusted together; the median depth becomes 1. Empty if it does not hold."""
@@ -144,17 +148,30 @@ class Mapper:
         refresh_points(world, world.points_of(near), around)
         self._places.add(new.row, new.words)
         self._places.tidy()
-        event = "keyframe" if busy() else self._close_loop(new)
-        return self._changes(event, began)
+        closure = None if busy() else self._close_loop(new)
+        update = self._changes("keyframe" if closure is None else closure.kind, began)
+        return replace(update, closure=closure)
 
-    def _close_loop(self, new: NewKeyframe) -> str:
+    def _close_loop(self, new: NewKeyframe) -> Closure | None:
         if new.row < self._looked_after:
-            return "keyframe"
+            return None
+        began = time.perf_counter()
         loop = find_loop(self.map, self._places, new.row, new.words, self._camera, self._settings.loops)
         if loop is None:
-            return "keyframe"
+            confirmed = self._returns.look(self.map, new.row)
+            self._note_time("place recognition", began)
+            return confirmed
+        self._note_time("place recognition", began)
+        began = time.perf_counter()
         self._looked_after = new.row + self._settings.loops.again_after
-        return correct(self.map, loop, self._closed, self._camera, self._settings.bundle)
+        closure = correction(self.map, loop)
+        correct(self.map, loop, self._closed, self._camera, self._settings.bundle)
+        self._returns.closed(loop.candidate)
+        self._note_time("loop closing", began)
+        return closure
+
+    def _note_time(self, stage: str, began: float) -> None:
+        self._timings_ms[stage] = (time.perf_counter() - began) * 1e3
 
     def forget(self, component: int) -> MapUpdate:
         """Drop a map that came to nothing."""
@@ -178,5 +195,6 @@ class Mapper:
         np.add.at(self.map.found, new.counted, new.found)
 
     def _changes(self, event: str, began: float) -> MapUpdate:
-        update = self.map.take_changes(event)
-        return replace(update, timings_ms={event: (time.perf_counter() - began) * 1e3})
+        update, parts = self.map.take_changes(event), self._timings_ms
+        self._timings_ms = {}
+        return replace(update, timings_ms={event: (time.perf_counter() - began) * 1e3, **parts})

@@ -12,6 +12,7 @@ from base_station.trackers.slam.local_bundle import BundleSettings
 from base_station.trackers.slam.loop_closing import LoopSettings
 from base_station.trackers.slam.new_points import NewPointSettings
 from base_station.trackers.slam.relocalization import PlaceSettings
+from base_station.trackers.slam.returning import ReturnSettings
 from base_station.trackers.slam.tracking import TrackingSettings
 
 
@@ -49,5 +50,7 @@ class SlamSettings:
     """How places are recognised."""
     loops: LoopSettings = field(default_factory=LoopSettings)
     """When two places are one."""
+    returns: ReturnSettings = field(default_factory=ReturnSettings)
+    """When a closed loop is confirmed."""
     atlas: AtlasSettings = field(default_factory=AtlasSettings)
     """When a lost map is left for a new one."""

@@ -6,6 +6,7 @@ when that fails; then the keyframe decision. All that changes the map happens at
 
 from __future__ import annotations
 
+import math
 import time
 import weakref
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.se3 import inverse, relative
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
-from base_station.trackers.slam.types import SlamFrame, SlamStatistics
+from base_station.trackers.slam.types import Closure, SlamFrame, SlamStatistics
 from base_station.types import TrackingState
 
 __all__ = ["SlamCamera", "SlamFrame", "SlamSettings", "SlamStatistics", "SlamSystem"]
@@ -35,6 +36,7 @@ __all__ = ["SlamCamera", "SlamFrame", "SlamSettings", "SlamStatistics", "SlamSys
 FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
+LOST_SMALL_FRAMES = 3
 
 
 @dataclass
@@ -44,6 +46,7 @@ class _Counts:
     loops: int = 0
     merges: int = 0
     relocalizations: int = 0
+    closures: list[Closure] = field(default_factory=list)
     timings_ms: dict[str, list[float]] = field(default_factory=dict)
 
 
@@ -150,28 +153,40 @@ class SlamSystem:
                 if not isinstance(found, str):
                     return found
                 reason = found
-            if self._worth_keeping():
-                found = self._relocalize(picture)
-                if not isinstance(found, str):
-                    return found
-            if self._lost_frames and picture.time_s - self._lost_since_s < self.settings.atlas.new_map_after_s:
-                return reason
-            if not self._lost_frames:
+            self._leave_small_map()
+            found = self._relocalize(picture)
+            if not isinstance(found, str):
+                return found
+            waits = picture.time_s - self._lost_since_s < self.settings.atlas.new_map_after_s
+            if self._component != NONE and (waits or not self._lost_frames):
                 return reason
         return self._begin(picture)
 
-    def _worth_keeping(self) -> bool:
-        """Whether the map in use is large enough; if not, it is forgotten when it has been lost for some frames."""
-        if len(self._map.keyframes_alive(self._component)) >= self.settings.atlas.least_keyframes:
-            return True
-        if self._lost_frames >= 3 and not self._link.waiting():
+    def _worth_keeping(self, component: int) -> bool:
+        return len(self._map.keyframes_alive(component)) >= self.settings.atlas.least_keyframes
+
+    def _leave_small_map(self) -> None:
+        """A map that is not worth keeping is forgotten when it has been lost for some frames; an older one, if there
+        is any, is then the one that is lost: its places are still looked for, and a new map may begin at once."""
+        small = not self._worth_keeping(self._component)
+        if small and self._lost_frames >= LOST_SMALL_FRAMES and not self._link.waiting():
             self._link.send(Forget(self._component))
             self._tracker.forget()
-            self._component = NONE
-        return False
+            self._component = self._largest(without=self._component)
+            self._lost_since_s = -math.inf
 
     def _relocalize(self, picture: Picture) -> Located | str:
+        """At a place of any map that is worth keeping."""
+        began = time.perf_counter()
+        try:
+            return self._recognised(picture)
+        finally:
+            self._time("relocalization", began)
+
+    def _recognised(self, picture: Picture) -> Located | str:
         for keyframe in self._places.candidates(self._places.words(picture.features)):
+            if not self._worth_keeping(int(self._map.component[keyframe])):
+                continue
             found = self._tracker.locate_by(picture, keyframe)
             if not isinstance(found, str):
                 self._counts.relocalizations += 1
@@ -224,7 +239,10 @@ class SlamSystem:
         )
         if kept:
             self._keep(picture, where)
-        return SlamFrame(TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches)
+        return SlamFrame(
+            TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches,
+            component=self._component,
+        )  # fmt: skip
 
     def _share_seen(self, picture: Picture, reference: int) -> float:
         """Of the points that the reference keyframe sees surely, those that the picture sees."""
@@ -232,24 +250,35 @@ class SlamSystem:
         return share_seen(world.point_of[reference], picture.point_of, world.point_alive, world.observed, least)
 
     def _keep(self, picture: Picture, where: _Tracked) -> None:
-        row, self._next_row = self._next_row, self._next_row + 1
         self._keyframe_frame = self._counts.frames
-        self._map.features[row] = picture.features
-        words = self._places.words(picture.features)
+        self._send(picture.features, picture.point_of.copy(), where, *self._tracker.take_counts())
+
+    def insert(self, time_s: float, features: Features, point_of: np.ndarray, cam_from_world: np.ndarray) -> int:
+        """Make a keyframe of a picture that was not tracked, but shows points of the map in use; its number.
+
+        `point_of` (n,): which point each feature shows, -1 for none. `cam_from_world`: about where it was taken.
+        """
+        reference = self.reference
+        relative = orthonormal(cam_from_world @ inverse(self._map.poses[reference]))
+        none = np.empty(0, np.int64)
+        where = _Tracked(time_s, reference, relative, float(self._map.sizes[reference]))
+        return self._send(features, point_of, where, none, none, none)
+
+    def _send(
+        self, features: Features, point_of: np.ndarray, where: _Tracked,
+        counted: np.ndarray, expected: np.ndarray, found: np.ndarray,
+    ) -> int:  # fmt: skip
+        row, self._next_row = self._next_row, self._next_row + 1
+        self._map.features[row] = features
+        words = self._places.words(features)
         self._places.add(row, words)
         self._link.send(
             NewKeyframe(
-                row,
-                picture.time_s,
-                picture.features,
-                picture.point_of.copy(),
-                where.reference,
-                where.cam_from_reference,
-                where.size,
-                words,
-                *self._tracker.take_counts(),
+                row, where.time_s, features, point_of, where.reference, where.cam_from_reference, where.size, words,
+                counted, expected, found,
             )
-        )
+        )  # fmt: skip
+        return row
 
     def _lost(self, time_s: float, reason: str) -> SlamFrame:
         self._tracker.stopped()
@@ -270,6 +299,8 @@ class SlamSystem:
                 self._tracker.stopped()
                 self._counts.loops += update.event == "loop"
                 self._counts.merges += update.event == "merge"
+            if update.closure is not None:
+                self._counts.closures.append(update.closure)
             if self._awaited is not None and update.event in ("new map", "forgotten map"):
                 if update.event == "new map":
                     self._component, self._first = self._awaited.component, self._awaited.rows[1]
@@ -319,8 +350,9 @@ class SlamSystem:
             self._take(self._link.receive(0.5))
         self._take(self._link.receive())
 
-    def _largest(self) -> int:
+    def _largest(self, without: int = NONE) -> int:
         component = self._map.component[self._map.keyframes_alive()]
+        component = component[component != without]
         return int(np.bincount(component).argmax()) if len(component) else NONE
 
     def trajectory(self) -> list[tuple[float, np.ndarray]]:
@@ -335,6 +367,7 @@ class SlamSystem:
     def keyframes(self) -> list[tuple[float, np.ndarray]]:
         """(time_s, world_from_cam 4x4) of the largest map's keyframes."""
         rows = self._map.keyframes_alive(self._largest())
+        rows = rows[np.argsort(self._map.time_s[rows], kind="stable")]
         return [(float(self._map.time_s[row]), inverse(self._map.poses[row])) for row in rows]
 
     def points(self) -> np.ndarray:
@@ -353,6 +386,7 @@ class SlamSystem:
             loops=self._counts.loops,
             merges=self._counts.merges,
             relocalizations=self._counts.relocalizations,
+            closures=tuple(self._counts.closures),
             timings_ms=self._counts.timings_ms,
         )
 

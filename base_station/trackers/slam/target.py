@@ -2,7 +2,8 @@
 
 A box remembers the map points in it, a learned place all points in view, and the pose they were learned from. Points
 may come later than the learning: as soon as the map explains the learned picture's features, it is placed in the map
-by them.
+by them. It then becomes a keyframe: taken from elsewhere, it sets right what the robot's first centimetres leave open,
+such as the tilt of a wall that it drives straight at.
 """
 
 from __future__ import annotations
@@ -18,17 +19,32 @@ from base_station.geometry import PinholeCamera
 from base_station.trackers.baselines.patch import Learned
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import Features
-from base_station.trackers.slam.map import Map
+from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.pose_optimization import optimize_pose
-from base_station.trackers.slam.se3 import inverse, pose_of, transform
+from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad, transform
 from base_station.trackers.slam.tracking import Picture
 from base_station.types import Box, TrackerResult, TrackingState
 
+TWINS_APART_RAD, TWIN_LEAD = math.radians(3.0), 1.5
+"""Poses that differ by more are two; and by what factor the worse one's misfit must be larger."""
+SURE_POINTS, SURE_MISFIT = 45, 5.0
+"""So many points, whose mean square misfit (of both axes, in deviations) is no larger, make a pose sure."""
 LEAST_POINTS = 12
 """Of the map, that place a target in it."""
 NEAREST_DEPTH = 1e-3
-PNP_PX = 4.0
+PNP_PX = 8.0
+"""Off by so much a point is still taken for the learned one: a tilted map is to be set right, not to be left."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The learned picture in the map: where it was taken, and which point each of its features shows, (n,). `sure`: it
+    cannot be its twin, see `_best_twin`."""
+
+    cam_from_world: np.ndarray
+    point_of: np.ndarray
+    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -50,18 +66,11 @@ class MapTarget:
 
 
 def place_in_map(
-    world: Map,
-    keyframe: int,
-    learned: Features,
-    in_box: np.ndarray,
-    center_px: tuple[float, float],
-    picture: Picture,
-    camera: SlamCamera,
-) -> MapTarget | None:
-    """Where the learned picture was taken and its target is, by the map points that both it and a picture of now show.
+    world: Map, learned: Features, in_box: np.ndarray, picture: Picture, camera: SlamCamera
+) -> Placed | None:  # fmt: skip
+    """Where the learned picture was taken, by the map points that both it and a picture of now show.
 
-    `in_box` (n,) bool: the learned features that belong to the target, whose middle is `center_px`. Its depth is that
-    of its points nearest to the middle.
+    `in_box` (n,) bool: the learned features that belong to the target, of which enough must be among them.
     """
     seen, point_of = picture.features, picture.point_of
     shown = np.flatnonzero(point_of >= 0)
@@ -77,15 +86,70 @@ def place_in_map(
     )
     if not solved or inliers is None or len(inliers) < LEAST_POINTS:
         return None
-    guess = pose_of(cv2.Rodrigues(rotation)[0], translation)
-    fit = optimize_pose(guess, points, uv, world.scales[learned.octave[rows]], camera.intrinsics)
-    own = fit.inliers & in_box[rows]
-    if own.sum() < LEAST_POINTS:
+    near = inliers[:, 0]
+    guess, sigma = pose_of(cv2.Rodrigues(rotation)[0], translation), world.scales[learned.octave[rows]]
+    pose, sure = _best_twin(guess, points[near], uv[near], sigma[near], camera)
+    if in_box[rows[near]].sum() < LEAST_POINTS:
         return None
-    pose = fit.cam_from_world
+    point_of_learned = np.full(len(learned), NONE, np.int32)
+    point_of_learned[rows[near]] = point_of[shown[matches[rows[near]]]]
+    return Placed(pose, point_of_learned, sure)
+
+
+def _best_twin(
+    guess: np.ndarray, points: np.ndarray, uv_px: np.ndarray, sigma_px: np.ndarray, camera: SlamCamera
+) -> tuple[np.ndarray, bool]:
+    """A plane looks much the same from two sides (Collins and Bartoli, "Infinitesimal plane-based pose estimation",
+    2014): both poses are refined, the one that fits best is given, and whether the other fits clearly worse."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    flat = points - ((points - middle) @ normal)[:, None] * normal
+    found, rotations, translations, _ = cv2.solvePnPGeneric(flat, uv_px, camera.matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    guesses = [guess]
+    if found:
+        both = zip(rotations, translations, strict=True)
+        guesses += [pose_of(cv2.Rodrigues(rotation)[0], translation) for rotation, translation in both]
+    poses = [optimize_pose(one, points, uv_px, sigma_px, camera.intrinsics).cam_from_world for one in guesses]
+    misfits = [_misfit(pose, points, uv_px, sigma_px, camera) for pose in poses]
+    best = int(np.argmin(misfits))
+    others = [misfit for pose, misfit in zip(poses, misfits, strict=True) if differ(pose, poses[best])]
+    fits = len(points) >= SURE_POINTS and misfits[best] <= SURE_MISFIT
+    return poses[best], fits and min(others, default=math.inf) > TWIN_LEAD * misfits[best]
+
+
+def differ(one: np.ndarray, two: np.ndarray) -> bool:
+    """Whether two poses are turned too differently to be the same one."""
+    return rotation_angle_rad(one[:3, :3] @ two[:3, :3].T) > TWINS_APART_RAD
+
+
+def _misfit(
+    pose: np.ndarray, points: np.ndarray, uv_px: np.ndarray, sigma_px: np.ndarray, camera: SlamCamera
+) -> float:  # fmt: skip
+    in_cam = transform(pose, points)
+    if not (in_cam[:, 2] > 0).all():
+        return math.inf
+    expected_px = in_cam[:, :2] / in_cam[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:]
+    off = np.linalg.norm(expected_px - uv_px, axis=1) / sigma_px
+    return float(np.mean(np.minimum(off, PNP_PX) ** 2))
+
+
+def target_of(
+    world: Map,
+    keyframe: int,
+    placed: Placed,
+    learned: Features,
+    in_box: np.ndarray,
+    center_px: tuple[float, float],
+    camera: SlamCamera,
+) -> MapTarget | None:
+    """The target, given relative to a keyframe. Its depth is that of its points nearest to its middle, `center_px`."""
+    pose, own = placed.cam_from_world, np.flatnonzero((placed.point_of >= 0) & in_box)
+    if len(own) < LEAST_POINTS:
+        return None
+    points, uv = world.xyz[placed.point_of[own]], learned.xy_px[own]
     middle = camera.undistort(np.array([center_px]))[0]
-    near = np.argsort(np.linalg.norm(uv[own] - middle, axis=1))[:LEAST_POINTS]
-    depth = float(np.median(transform(pose, points[own][near])[:, 2]))
+    near = np.argsort(np.linalg.norm(uv - middle, axis=1))[:LEAST_POINTS]
+    depth = float(np.median(transform(pose, points[near])[:, 2]))
     center = np.append((middle - camera.intrinsics[2:]) / camera.intrinsics[:2], 1.0) * depth
     relative = pose @ inverse(world.poses[keyframe])
     return MapTarget(keyframe, relative, float(world.sizes[keyframe]), center)

@@ -20,17 +20,19 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
+from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.se3 import camera_centers, inverse
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
-from base_station.trackers.slam.target import MapTarget, heading_of, place_in_map, result_of
+from base_station.trackers.slam.target import MapTarget, Placed, differ, heading_of, place_in_map, result_of, target_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 SURE_MATCHES = 150
 """Map points seen, from which on a pose could not be surer."""
 LEAST_AGREEING = 0.25
 """Of the matches with the learned picture, that must agree on one similarity."""
+MOST_CHECKS = 40
 PLACE_EVERY = 5
 """Frames between two attempts to place the target in the map."""
 NEARLY_AHEAD_RAD = math.radians(4.0)
@@ -65,6 +67,9 @@ class SlamTracker(PatchTracker):
         self._in_box: np.ndarray = np.empty(0, np.bool_)
         self._learned_center = (0.0, 0.0)
         self._target: MapTarget | None = None
+        self._learned_row, self._learned_s = NONE, 0.0
+        """The keyframe that the learned picture has become, and when it was taken."""
+        self._checks = 0
         self._compass = ZCompass()
         self._pose: np.ndarray | None = None
         self._frames = 0
@@ -95,6 +100,7 @@ class SlamTracker(PatchTracker):
             self._end_mapper()
             self._slam, self._camera = slam, camera
         self._target, self._frames = None, 0
+        self._learned_row, self._learned_s, self._checks = NONE, frame.time_s, 0
         self._compass.start(frame, 0.0)
 
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
@@ -141,17 +147,49 @@ class SlamTracker(PatchTracker):
     def _place(self, slam: SlamSystem) -> None:
         """Give the target its place in the map, where the map shows enough of it; and anew when the map has changed."""
         picture = slam.last_picture
-        if self._features is None or self._camera is None or picture is None:
+        if self._features is None or self._camera is None or picture is None or self._frames % PLACE_EVERY != 1:
             return
-        world = slam.map
-        if self._target is not None and world.alive[world.living(self._target.keyframe)]:
-            if world.component[world.living(self._target.keyframe)] == slam.component:
-                return
-            self._target = None
-        if self._frames % PLACE_EVERY == 1:
-            self._target = place_in_map(
-                world, slam.reference, self._features, self._in_box, self._learned_center, picture, self._camera
-            )
+        world, row = slam.map, self._learned_row
+        if row != NONE and self._is_keyframe(world, slam.component):
+            seen = world.current(world.point_of[row, : len(self._features)])
+            target = self._target_at(world, row, Placed(world.poses[row], seen))
+            self._target = target or self._target
+            self._check(slam, row)
+            return
+        if self._target is not None:
+            keyframe = world.living(self._target.keyframe)
+            if not world.alive[keyframe] or world.component[keyframe] != slam.component:
+                self._target, self._learned_row = None, NONE
+        if self._learned_row != NONE:
+            return
+        placed = place_in_map(world, self._features, self._in_box, picture, self._camera)
+        if placed is None:
+            return
+        self._target = self._target_at(world, slam.reference, placed) or self._target
+        if self._target is not None and placed.sure:
+            self._learned_row = slam.insert(self._learned_s, self._features, placed.point_of, placed.cam_from_world)
+
+    def _check(self, slam: SlamSystem, row: int) -> None:
+        """A map that grows may come to know better where the learned picture was taken than its keyframe does."""
+        picture = slam.last_picture
+        if self._checks >= MOST_CHECKS or picture is None or self._features is None or self._camera is None:
+            return
+        self._checks += 1
+        placed = place_in_map(slam.map, self._features, self._in_box, picture, self._camera)
+        if placed is None or not placed.sure or not differ(placed.cam_from_world, slam.map.poses[row]):
+            return
+        self._target = self._target_at(slam.map, slam.reference, placed) or self._target
+        self._learned_row = slam.insert(self._learned_s, self._features, placed.point_of, placed.cam_from_world)
+
+    def _is_keyframe(self, world: Map, component: int) -> bool:
+        row = self._learned_row
+        return row < world.keyframe_count and bool(world.alive[row]) and int(world.component[row]) == component
+
+    def _target_at(self, world: Map, keyframe: int, placed: Placed) -> MapTarget | None:
+        assert self._features is not None and self._camera is not None
+        return target_of(
+            world, keyframe, placed, self._features, self._in_box, self._learned_center, self._camera
+        )  # fmt: skip
 
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
         """In the picture itself, while the map cannot say."""
@@ -197,8 +235,10 @@ class SlamTracker(PatchTracker):
         self._slam.finish()
         counts = self._slam.statistics()
         return Survey(
-            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps
-        )
+            trajectory=self._slam.trajectory(), loops=counts.loops, keyframes=counts.keyframes, maps=counts.maps,
+            confirmed=sum(one.kind == "confirmed" for one in counts.closures),
+            loop_times_s=tuple(one.time_s for one in counts.closures if one.kind != "merge"),
+        )  # fmt: skip
 
     def _end_mapper(self) -> None:
         if self._slam is not None:

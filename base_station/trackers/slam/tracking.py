@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.certainty import CertaintySettings, is_certain
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.local_map import LocalMap, local_map
 from base_station.trackers.slam.map import NONE, Map
@@ -45,6 +46,8 @@ class TrackingSettings:
     """...and so does one that turned further."""
     pnp_error_px: float = 4.0
     """Of a match that supports a pose from three points."""
+    certainty: CertaintySettings = field(default_factory=CertaintySettings)
+    """Of a pose without a pose before, and of one far from the expected one."""
 
 
 @dataclass
@@ -134,7 +137,7 @@ class FrameTracker:
             fit = way(picture, guess, last.picture, points, reference)
             if fit is not None:
                 found = self.by_local_map(picture, fit, reference, self.settings.least_inliers)
-                if not isinstance(found, str) and self._plausible(found, guess):
+                if not isinstance(found, str) and self._plausible(picture, found, guess):
                     return found
         return "the last picture's points are not found again"
 
@@ -143,7 +146,10 @@ class FrameTracker:
         fit = self._by_keyframe(picture, None, picture, picture.point_of, keyframe)
         if fit is None:
             return "the keyframe's points are not found"
-        return self.by_local_map(picture, fit, keyframe, self.settings.least_inliers_found_again, wide=True)
+        found = self.by_local_map(picture, fit, keyframe, self.settings.least_inliers_found_again, wide=True)
+        if isinstance(found, str) or self._is_certain(picture, found):
+            return found
+        return f"{found.matches} points are seen, but leave the pose unsure"
 
     def by_local_map(
         self, picture: Picture, first: PoseFit, reference: int, least: int, *, wide: bool = False
@@ -259,16 +265,23 @@ class FrameTracker:
 
     # --- small things -----------------------------------------------------------------------------------------------
 
-    def _plausible(self, found: Located, guess: np.ndarray) -> bool:
-        """A pose far from the expected one is believed only with as many points as a pose from nowhere needs."""
+    def _is_certain(self, picture: Picture, found: Located) -> bool:
+        rows = np.flatnonzero(found.point_of >= 0)
+        return is_certain(
+            found.cam_from_world, self._map.xyz[found.point_of[rows]], picture.features.xy_px[rows],
+            self._map.scales[picture.features.octave[rows]], self._camera.intrinsics, self.settings.certainty,
+        )  # fmt: skip
+
+    def _plausible(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
+        """A pose far from the expected one is believed only if one from nowhere would be."""
         settings = self.settings
-        if found.matches >= settings.least_inliers_found_again:
-            return True
         seen = found.point_of[found.point_of >= 0]
         depth = float(np.median(transform(found.cam_from_world, self._map.xyz[seen])[:, 2]))
         step = float(np.linalg.norm(camera_centers(found.cam_from_world) - camera_centers(guess)))
         turn = rotation_angle_rad(found.cam_from_world[:3, :3] @ guess[:3, :3].T)
-        return step <= settings.farthest_jump * depth and turn <= settings.widest_jump_rad
+        if step <= settings.farthest_jump * depth and turn <= settings.widest_jump_rad:
+            return True
+        return found.matches >= settings.least_inliers_found_again and self._is_certain(picture, found)
 
     def _count(self, expected: np.ndarray, found: np.ndarray) -> None:
         size = len(self._map.xyz)

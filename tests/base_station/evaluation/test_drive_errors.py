@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +28,9 @@ def survey(noise_m: float) -> Survey:
         pose = world_from_true @ true
         pose[:3, :3] *= 2
         poses.append((time_s, pose))
-    return Survey(trajectory=poses, loops=2, keyframes=9, maps=1)
+    return Survey(
+        trajectory=poses, loops=2, keyframes=9, maps=1, confirmed=1, loop_times_s=(TRUTHS[9][0], TRUTHS[30][0])
+    )
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.02])
@@ -35,7 +38,12 @@ def test_what_no_similarity_explains_is_the_error(noise_m):
     told = mapped(survey(noise_m), TRUTHS, 5.0)
     assert told["ate_rmse_m"] == pytest.approx(noise_m, abs=1e-3)
     assert told["ate_share_of_path"] == pytest.approx(noise_m / 5, abs=2e-4)
-    assert (told["loops_closed"], told["keyframes"], told["maps"]) == (2, 9, 1)
+    assert (told["loops_closed"], told["loops_confirmed"], told["keyframes"], told["maps"]) == (2, 1, 9, 1)
+    driven_m = [
+        sum(math.dist(one.robot[:2], two.robot[:2]) for (_, one), (_, two) in pairwise(TRUTHS[: k + 1]))
+        for k in (9, 30)
+    ]
+    assert told["loops_at_m"] == pytest.approx(driven_m, abs=2e-3) and driven_m[0] > 0
     assert told["trajectory_share"] == pytest.approx(50 / 60, abs=1e-5)
 
 

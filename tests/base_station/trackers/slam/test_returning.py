@@ -1,0 +1,65 @@
+"""A closed loop's place is confirmed once each time the camera comes back to it, with what the map was off by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.map import Map
+from base_station.trackers.slam.returning import Returns, ReturnSettings
+from base_station.trackers.slam.se3 import exponential
+from tests.base_station.trackers.slam.scene import INTRINSICS, SCALES, box_of_points, features_of, project, random_looks
+
+CAMERA = SlamCamera(width_px=640, height_px=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
+COUNT = 150
+STEP = exponential(np.array([0.2, 0.0, 0.1, 0.0, 0.05, 0.0]))
+
+
+def world_with(off: np.ndarray) -> Map:
+    """Keyframes 0 (the place), 1 (elsewhere, sees other points), 2 (back, and `off` is how the map has it wrong)."""
+    rng = np.random.default_rng(0)
+    world = Map(COUNT, SCALES)
+    here, there = box_of_points(rng, COUNT), box_of_points(rng, COUNT) + np.array([50.0, 0.0, 0.0])
+    looks, other_looks = random_looks(rng, COUNT), random_looks(rng, COUNT)
+    away = np.eye(4)
+    away[0, 3] = -50.0
+    none = np.empty(0, np.int32)
+    for row, (pose, points, look) in enumerate(
+        ((np.eye(4), here, looks), (away, there, other_looks), (STEP, here, looks))
+    ):
+        uv = project(pose, points) + rng.normal(0, 0.4, (COUNT, 2))
+        world.add_keyframe(row, float(row), off @ pose if row == 2 else pose, features_of(uv, look), none, 0)
+    mine, others = world.add_points(here, looks, 0), world.add_points(there, other_looks, 1)
+    for row, points in ((0, mine), (1, others), (2, mine)):
+        world.point_of[row, :COUNT] = points
+    world.recount(np.arange(3))
+    return world
+
+
+def test_a_return_is_confirmed_once_and_measured():
+    off = exponential(np.array([0.03, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    world, returns = world_with(off), Returns(CAMERA, ReturnSettings())
+    assert returns.look(world, 2) is None  # no loop was ever closed
+    returns.closed(0)
+    assert returns.look(world, 2) is None  # not away since
+    assert returns.look(world, 1) is None  # away
+    found = returns.look(world, 2)
+    assert found is not None and (found.kind, found.time_s) == ("confirmed", 2.0)
+    assert found.moved_of_depth == pytest.approx(0.03 / np.median(box_depth(world)), rel=0.3)
+    assert found.turned_rad < 0.003
+    assert returns.look(world, 2) is None  # once a visit
+
+
+def box_depth(world: Map) -> np.ndarray:
+    points = world.xyz[world.point_of[0, :COUNT]]
+    return (points @ STEP[:3, :3].T + STEP[:3, 3])[:, 2]
+
+
+@pytest.mark.parametrize("twist", [[0.4, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0.06, 0]])
+def test_a_map_that_is_off_is_not_confirmed(twist):
+    world, returns = world_with(exponential(np.array(twist, float))), Returns(CAMERA, ReturnSettings())
+    returns.closed(0)
+    returns.look(world, 1)
+    assert returns.look(world, 2) is None
+    assert INTRINSICS[0] == CAMERA.fx
