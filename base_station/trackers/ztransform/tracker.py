@@ -271,6 +271,7 @@ class ZTransformTracker:
         covered = not is_whole or look.share < 1 or look.alike < settings.uncovered
         if covered or (self._is_proven and self._frames % settings.loose_every):
             return
+        self._loose.upright()
         if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
             self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
 
