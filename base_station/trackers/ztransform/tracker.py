@@ -52,7 +52,7 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.75
+    firm: float = 0.8
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
     uncovered: float = 0.85
     """Of the target that must look as it was learned, or the loose follower does not learn from it."""
@@ -61,7 +61,7 @@ class ZTransformSettings:
     makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
     needs_no_second: float = 0.8
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
-    hold_sharpness: float = 4.5
+    hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
@@ -73,6 +73,8 @@ class ZTransformSettings:
     """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
+    search_every: int = 4
+    """While a proven target looks as usual, though not firm, it is searched for in every so many frames only."""
     hold_share: float = 0.8
     """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
@@ -201,6 +203,8 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
+        if followed and self._is_as_usual(followed) and self._frames % settings.search_every:
+            return followed, True
         just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
         found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
@@ -235,6 +239,12 @@ class ZTransformTracker:
         if not (learned.is_place or self._is_proven):
             least = max(least, settings.regain_confidence)
         return look.confidence >= least
+
+    def _is_as_usual(self, look: Look) -> bool:
+        """A proven target that is not firm, and has not been for a while: a search would hardly tell more."""
+        settings = self._settings
+        least = max(settings.regain_confidence, self._usual_confidence - settings.surprise / 2)
+        return self._is_tracking and self._is_proven and look.share == 1 and look.confidence >= least
 
     def _is_firm(self, look: Look) -> bool:
         """The signature alone is enough."""
