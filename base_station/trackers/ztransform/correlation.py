@@ -28,8 +28,6 @@ class FilterSettings:
     """Of the strongest frequency's energy, added to all: what has less does not count."""
     rate: float
     """How much of the newest frame is taken over into what was learned."""
-    reach: float = math.inf
-    """Standard deviation, in sides of the patch, of how far the target moves from one frame to the next."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,23 +85,19 @@ def respond(numerator, energy, least, spectrum, out):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def highest(answer, row_prior, column_prior):
-    """Row and column of the highest real part, weighted by the priors of both, its own height, mean and standard
-    deviation of all."""
+def highest(answer):
+    """Row and column of the highest real part, its height, mean and standard deviation of all."""
     rows, columns, _ = answer.shape
-    best, best_row, best_column = np.float32(-1e9), 0, 0
+    best, best_row, best_column = answer[0, 0, 0], 0, 0
     total, squares = 0.0, 0.0
     for y in range(rows):
         for x in range(columns):
             value = answer[y, x, 0]
             total += value
             squares += value * value
-            if value > 0:
-                value *= row_prior[y] * column_prior[x]
             if value > best:
                 best, best_row, best_column = value, y, x
     mean = total / (rows * columns)
-    best = answer[best_row, best_column, 0]
     return best_row, best_column, best, mean, math.sqrt(max(squares / (rows * columns) - mean * mean, 1e-12))
 
 
@@ -151,10 +145,6 @@ class CorrelationFilter:
         spectrum = np.fft.fft2(label)
         self._label = np.stack([spectrum.real, spectrum.imag], -1).astype(np.float32)
         self._answer = np.empty((rows, columns, 2), np.float32)
-        self._priors = [
-            np.exp(-((d / n / settings.reach) ** 2) / 2).astype(np.float32)
-            for d, n in zip(distance, (rows, columns), strict=True)
-        ]
         self._whole: np.ndarray | None = None
 
     def learn(self, channels: np.ndarray, mask: np.ndarray | None = None) -> None:
@@ -175,7 +165,7 @@ class CorrelationFilter:
         self._whole = self._transformed(channels)
         respond(self._numerator, self._energy, self._least, self._whole, self._answer)
         answer = cv2.dft(self._answer, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
-        row, column, height, mean, spread = highest(answer, *self._priors)
+        row, column, height, mean, spread = highest(answer)
         return Peak(
             height=float(height),
             sharpness=(height - mean) / spread,

@@ -26,9 +26,9 @@ from base_station.trackers.ztransform.pyramid import Pyramid
 class LooseSettings:
     """Of both filters. Sizes are against the target's: the root of its width times its height."""
 
-    window: float = 3.0
+    window: float = 3.25
     """Side of the window that is searched."""
-    cells: int = 44
+    cells: int = 48
     """Across the window."""
     flat: float = 0.8
     """Of the target's width and height that is learned in full."""

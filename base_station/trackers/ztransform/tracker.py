@@ -61,6 +61,10 @@ class ZTransformSettings:
     makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
     needs_no_second: float = 0.8
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
+    near: float = 0.3
+    """In sides of the target. Of the window 3 % are so near to where the target just was: chance answers elsewhere."""
+    far_sharpness: float = 7.5
+    """What an answer elsewhere, or to a search, must have to be the loose target's."""
     hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
@@ -295,9 +299,10 @@ class ZTransformTracker:
             start[X] += dx * side
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
-        clear = sighting.sharpness >= settings.loose.least_sharpness
+        near = self._is_tracking and _is_near(sighting.placement, start, settings.near)
+        clear = sighting.sharpness >= (settings.loose.least_sharpness if near else settings.far_sharpness)
         if not clear:
-            held = self._is_loose and self._is_tracking and sighting.sharpness >= settings.hold_sharpness
+            held = self._is_loose and near and sighting.sharpness >= settings.hold_sharpness
             if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
                 return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
@@ -392,6 +397,12 @@ class ZTransformTracker:
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
     return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(confidence, 0.0), 1.0))
+
+
+def _is_near(placement: np.ndarray, start: np.ndarray, sides: float) -> bool:
+    """The placement's middle is at most so many sides of the target from the start's."""
+    (x, y, width, height, _), (x0, y0, _, _, _) = placement.tolist(), start.tolist()
+    return math.hypot(x - x0, y - y0) <= sides * math.sqrt(width * height)
 
 
 def _share_inside(placement: np.ndarray, shape: tuple[int, ...]) -> float:
