@@ -64,7 +64,9 @@ class ZTransformSettings:
     near: float = 0.3
     """In sides of the target. Of the window 3 % are so near to where the target just was: chance answers elsewhere."""
     far_sharpness: float = 7.5
-    """What an answer elsewhere, or to a search, must have to be the loose target's."""
+    """What an answer elsewhere, or to a search, must have to be the loose target's..."""
+    again_sharpness: float = 6.5
+    """... or else one in the frame after it, near to it."""
     hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
@@ -115,6 +117,8 @@ class ZTransformTracker:
         self._learned: _Learned | None = None
         self._motion = Motion()
         self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
+        self._candidate: np.ndarray | None = None
+        """Where a loose target perhaps was in the frame before: to be confirmed."""
         self._warm_up()
 
     def learn(self, frame: Frame, target: Box | None) -> None:
@@ -137,12 +141,14 @@ class ZTransformTracker:
         if target is not None:
             self._loose.start(pyramid, placement)
         self._motion.start(placement, frame.time_s)
+        self._candidate = None
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s, self._frames = False, 0, frame.time_s, 0
 
     def expect(self, placement: np.ndarray, time_s: float) -> None:
         """The learned target is about here now, says who recognised it, and keeps its shape. See `kernels`."""
         self._motion.start(placement, time_s)
+        self._candidate = None
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s = False, self._settings.proven_frames, time_s
 
@@ -278,7 +284,7 @@ class ZTransformTracker:
         """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
         settings = self._settings
-        self._is_loose, self._firm_s = False, time_s
+        self._is_loose, self._firm_s, self._candidate = False, time_s, None
         if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
@@ -293,22 +299,28 @@ class ZTransformTracker:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
         settings, start = self._settings, self._motion.last.copy()
         start[KEYSTONE] = 0.0
-        if self._frames_lost > LINGER_FRAMES:
+        if self._candidate is not None:
+            start = self._candidate
+        elif self._frames_lost > LINGER_FRAMES:
             side = settings.loose.window / 2 * float(np.sqrt(start[WIDTH] * start[HEIGHT]))
             dx, dy = ((0, 0), *RING)[self._frames_lost % (len(RING) + 1)]
             start[X] += dx * side
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
-        near = self._is_tracking and _is_near(sighting.placement, start, settings.near)
-        clear = sighting.sharpness >= (settings.loose.least_sharpness if near else settings.far_sharpness)
+        confirming = self._candidate is not None
+        near = (confirming or self._is_tracking) and _is_near(sighting.placement, start, settings.near)
+        least = settings.loose.least_sharpness
+        needed = settings.far_sharpness if not near else settings.again_sharpness if confirming else least
+        clear = sighting.sharpness >= needed
+        self._candidate = sighting.placement if least <= sighting.sharpness < needed else None
         if not clear:
-            held = self._is_loose and near and sighting.sharpness >= settings.hold_sharpness
+            held = self._is_loose and self._is_tracking and near and sighting.sharpness >= settings.hold_sharpness
             if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
                 return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
         placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
         self._is_loose = not proven
-        confidence = sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness)
+        confidence = sighting.sharpness / (sighting.sharpness + least)
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
