@@ -23,13 +23,13 @@ from numba import njit
 class ChannelSettings:
     """Which channels are read. Lengths are in cells."""
 
-    rates: tuple[float, ...] = (0.4, 0.9)
+    rates: tuple[float, ...] = (0.5, 1.2)
     """s of each scale, per cell: the window u exp(-s u) peaks 1/s cells away."""
-    slope: float = 1.5
+    slope: float = 2.0
     """Radians turned per e-fold of fading."""
     across: float = 1.2
     """The real pole that smooths across the direction of reading is exp(-across s)."""
-    floor: float = 0.5
+    floor: float = 0.3
     """Of the channel's root mean square: what is much weaker than this is noise and stays small."""
 
 

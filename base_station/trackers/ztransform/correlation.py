@@ -43,6 +43,9 @@ class Peak:
     columns: float
 
 
+MIDDLE = Peak(height=1.0, sharpness=math.inf, rows=0.0, columns=0.0)
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def cut_out(channels, down, right, mask, out):
     """out = mask times the channels moved so that the cell (down, right) from the middle comes to the middle."""
@@ -149,8 +152,13 @@ class CorrelationFilter:
         self._numerator = np.zeros_like(channels)
         self._energy = np.zeros(self._shape, np.float32)
         self._whole = self._transformed(channels)
-        self._take(np.float32(1.0), channels, mask, Peak(height=1.0, sharpness=math.inf, rows=0.0, columns=0.0))
+        self._take(np.float32(1.0), channels, mask, MIDDLE)
         self._least = np.float32(self._settings.regularisation * self._energy.max() + 1e-6)
+
+    def learn_also(self, channels: np.ndarray, mask: np.ndarray | None, number: int) -> None:
+        """One more view of the target, in the middle too: the `number`-th, so that all of them weigh the same."""
+        self._whole = self._transformed(channels)
+        self._take(np.float32(1 / number), channels, mask, MIDDLE)
 
     def find(self, channels: np.ndarray) -> Peak:
         """Where it is in this patch."""

@@ -328,3 +328,20 @@ def count_votes(window: np.ndarray, learned: np.ndarray, side: int, faint: float
         weight = piece.var() / (piece.var() + 4 * faint)
         votes[down, right] += weight * max(product, 0) ** 2 / (piece.var() * (seen.var() + faint) + 1e-6)
     return votes
+
+
+def turned_reads(
+    image: np.ndarray, scale: int, placement: np.ndarray, turn_rad: float, across: np.ndarray, down: np.ndarray
+) -> np.ndarray:
+    """Bilinear reads at (across width, down height), turned by the angle and put about the placement's middle.
+
+    `image`: a frame at 1 / scale of its size, its border repeated.
+    """
+    point = (across * placement[2] + 1j * down * placement[3]) * np.exp(1j * turn_rad) + complex(*placement[:2])
+    x = np.clip((point.real - (scale - 1) / 2) / scale, 0, image.shape[1] - 1.001)
+    y = np.clip((point.imag - (scale - 1) / 2) / scale, 0, image.shape[0] - 1.001)
+    column, row = x.astype(int), y.astype(int)
+    grey = image.astype(float)
+    above = grey[row, column] * (1 - x + column) + grey[row, column + 1] * (x - column)
+    below = grey[row + 1, column] * (1 - x + column) + grey[row + 1, column + 1] * (x - column)
+    return np.asarray(above * (1 - y + row) + below * (y - row))

@@ -53,7 +53,7 @@ class ZTransformSettings:
     """Of the target, to be learned or tracked."""
     largest_share: float = 3.0
     """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.75
+    firm: float = 0.8
     """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
     uncovered: float = 0.85
     """Of the target that must look as it was learned, or the loose follower does not learn from it."""
@@ -62,7 +62,13 @@ class ZTransformSettings:
     makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
     needs_no_second: float = 0.8
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
-    hold_sharpness: float = 4.5
+    near: float = 0.3
+    """In sides of the target. Of the window 3 % are so near to where the target just was: chance answers elsewhere."""
+    far_sharpness: float = 7.5
+    """What an answer elsewhere, or to a search, must have to be the loose target's..."""
+    again_sharpness: float = 6.5
+    """... or else one in the frame after it, near to it."""
+    hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
@@ -74,6 +80,8 @@ class ZTransformSettings:
     """... and then as much as from so many."""
     rigid_every: int = 5
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
+    search_every: int = 4
+    """While a proven target looks as usual, though not firm, it is searched for in every so many frames only."""
     hold_share: float = 0.8
     """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
@@ -112,6 +120,8 @@ class ZTransformTracker:
         self._seen: tuple[Pyramid, np.ndarray] | None = None
         """The last frame with the target in it, and its lens."""
         self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
+        self._candidate: np.ndarray | None = None
+        """Where a loose target perhaps was in the frame before: to be confirmed."""
         self._warm_up()
 
     def learn(self, frame: Frame, target: Box | None) -> None:
@@ -134,12 +144,14 @@ class ZTransformTracker:
         if target is not None:
             self._loose.start(pyramid, placement)
         self._motion.start(placement, frame.time_s)
+        self._candidate = None
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s, self._frames = False, 0, frame.time_s, 0
 
     def expect(self, placement: np.ndarray, time_s: float) -> None:
         """The learned target is about here now, says who recognised it, and keeps its shape. See `kernels`."""
         self._motion.start(placement, time_s)
+        self._candidate = None
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s = False, self._settings.proven_frames, time_s
 
@@ -214,6 +226,8 @@ class ZTransformTracker:
                 return loose, True
             if self._is_tracking:
                 return Look(self._motion.last, 0.0, 0.0), False
+        if followed and self._is_as_usual(followed) and self._frames % settings.search_every:
+            return followed, True
         just_seen = self._is_tracking and self._motion.age_s(time_s) < settings.linger_s
         found = self._rigid.search(pyramid, lens, self._motion.last, self._frames_lost, just_seen=just_seen)
         least = max(settings.regain_confidence, followed.confidence if followed else 0.0)
@@ -249,6 +263,12 @@ class ZTransformTracker:
             least = max(least, settings.regain_confidence)
         return look.confidence >= least
 
+    def _is_as_usual(self, look: Look) -> bool:
+        """A proven target that is not firm, and has not been for a while: a search would hardly tell more."""
+        settings = self._settings
+        least = max(settings.regain_confidence, self._usual_confidence - settings.surprise / 2)
+        return self._is_tracking and self._is_proven and look.share == 1 and look.confidence >= least
+
     def _is_firm(self, look: Look) -> bool:
         """The signature alone is enough."""
         settings, learned = self._settings, self._learned
@@ -277,13 +297,14 @@ class ZTransformTracker:
         """The signature was seen; now and then the loose follower learns how the target looks there, and around it."""
         assert self._learned is not None
         settings = self._settings
-        self._is_loose, self._firm_s = False, time_s
+        self._is_loose, self._firm_s, self._candidate = False, time_s, None
         if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
         covered = not is_whole or look.share < 1 or look.alike < settings.uncovered
         if covered or (self._is_proven and self._frames % settings.loose_every):
             return
+        self._loose.upright()
         if self._loose.look(pyramid, look.placement).sharpness >= settings.loose.least_sharpness:
             self._loose.adapt(pyramid, settings.loose_times if self._is_proven else 1)
 
@@ -291,21 +312,28 @@ class ZTransformTracker:
         """The target by what it looked like lately, or None. It goes on learning once it is taken for loose."""
         settings, start = self._settings, self._motion.last.copy()
         start[KEYSTONE] = 0.0
-        if self._frames_lost > LINGER_FRAMES:
+        if self._candidate is not None:
+            start = self._candidate
+        elif self._frames_lost > LINGER_FRAMES:
             side = settings.loose.window / 2 * float(np.sqrt(start[WIDTH] * start[HEIGHT]))
             dx, dy = ((0, 0), *RING)[self._frames_lost % (len(RING) + 1)]
             start[X] += dx * side
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
-        clear = sighting.sharpness >= settings.loose.least_sharpness
+        confirming = self._candidate is not None
+        near = (confirming or self._is_tracking) and _is_near(sighting.placement, start, settings.near)
+        least = settings.loose.least_sharpness
+        needed = settings.far_sharpness if not near else settings.again_sharpness if confirming else least
+        clear = sighting.sharpness >= needed
+        self._candidate = sighting.placement if least <= sighting.sharpness < needed else None
         if not clear:
-            held = self._is_loose and self._is_tracking and sighting.sharpness >= settings.hold_sharpness
+            held = self._is_loose and self._is_tracking and near and sighting.sharpness >= settings.hold_sharpness
             if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
                 return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
         placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
         self._is_loose = not proven
-        confidence = sighting.sharpness / (sighting.sharpness + settings.loose.least_sharpness)
+        confidence = sighting.sharpness / (sighting.sharpness + least)
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
@@ -394,6 +422,12 @@ class ZTransformTracker:
 
 def _lost(reason: str, confidence: float) -> TrackerResult:
     return TrackerResult(state=TrackingState.LOST, reason=reason, confidence=min(max(confidence, 0.0), 1.0))
+
+
+def _is_near(placement: np.ndarray, start: np.ndarray, sides: float) -> bool:
+    """The placement's middle is at most so many sides of the target from the start's."""
+    (x, y, width, height, _), (x0, y0, _, _, _) = placement.tolist(), start.tolist()
+    return math.hypot(x - x0, y - y0) <= sides * math.sqrt(width * height)
 
 
 def _share_inside(placement: np.ndarray, shape: tuple[int, ...]) -> float:

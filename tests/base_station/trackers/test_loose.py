@@ -10,7 +10,7 @@ from base_station.geometry import PinholeCamera
 from base_station.trackers.registry import make_tracker
 from base_station.trackers.ztransform import reference
 from base_station.trackers.ztransform.channels import ChannelReader, ChannelSettings
-from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
+from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings, sample_polar
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.types import Box, Frame, TrackingState
 
@@ -59,6 +59,34 @@ def test_the_size_follows_a_slow_zoom(zoom):
         placement = follower.adapt(pyramid)
     assert placement[2] / 90 == pytest.approx(zoom, rel=0.05)
     assert placement[3] / placement[2] == pytest.approx(70 / 90, rel=1e-6)
+
+
+@pytest.mark.parametrize("speed_deg", [-2.5, 2.0])
+def test_a_target_that_turns_in_the_picture_is_turned_with(speed_deg):
+    """A disc of its own texture, over other texture, by a quarter of a circle and more."""
+    back, front = picture(6, 5.0), picture(7, 2.5)
+    rows, columns = np.mgrid[0:480, 0:640]
+    disc = np.hypot(rows - 240, columns - 320) < 50
+    follower, placement = LooseFollower(LooseSettings()), np.array([320.0, 240.0, 100.0, 100.0, 0.0])
+    follower.start(Pyramid(np.where(disc, front, back)), placement)
+    for n in range(1, 61):
+        turn = cv2.getRotationMatrix2D((320.0, 240.0), -speed_deg * n, 1.0)
+        turned = cv2.warpAffine(front, turn, (640, 480), flags=cv2.INTER_CUBIC)
+        pyramid = Pyramid(np.where(disc, turned, back))
+        assert follower.look(pyramid, placement).sharpness > SMALLEST_SHARPNESS
+        placement = follower.adapt(pyramid)
+    assert placement == pytest.approx([320, 240, 100, 100, 0], abs=8)
+    assert np.degrees(follower.turn_rad) == pytest.approx(60 * speed_deg, abs=12)
+
+
+@pytest.mark.parametrize(("scale", "turn_rad"), [(1, 0.0), (2, 0.6), (1, -2.5)])
+def test_a_polar_patch_is_read_where_the_reference_reads_it(scale, turn_rad):
+    image, rng = cv2.resize(picture(8), None, fx=1 / scale, fy=1 / scale), np.random.default_rng(1)
+    across, down = rng.uniform(-1.2, 1.2, (2, 16, 16)).astype(np.float32)
+    placement, patch = np.array([600.0, 200.0, 120.0, 60.0, 0.0]), np.empty((16, 16), np.float32)
+    sample_polar(image, scale, placement, turn_rad, across, down, patch)
+    expected = reference.turned_reads(image, scale, placement, turn_rad, across, down)
+    assert patch == pytest.approx(expected, abs=0.1)
 
 
 def test_other_pictures_do_not_answer_sharply():
