@@ -141,7 +141,8 @@ def _orbslam(camera: PinholeCamera, stamps_ns: Sequence[int]) -> Iterator[str]:
     yield 'Camera.type: "PinHole"'
     for name, value in zip(("fx", "fy", "cx", "cy"), (camera.fx, camera.fy, camera.cx, camera.cy), strict=True):
         yield f"Camera1.{name}: {value!r}"
-    yield from (f"Camera1.{name}: 0.0" for name in ("k1", "k2", "p1", "p2"))
+    for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion or (0.0,) * 4, strict=False):
+        yield f"Camera1.{name}: {value!r}"
     yield f"Camera.width: {camera.width}"
     yield f"Camera.height: {camera.height}"
     yield f"Camera.fps: {max(1, round(_rate_hz(stamps_ns)))}"
@@ -159,7 +160,7 @@ def _sensor(camera: PinholeCamera, stamps_ns: Sequence[int]) -> Iterator[str]:
     yield "camera_model: pinhole"
     yield f"intrinsics: [{camera.fx!r}, {camera.fy!r}, {camera.cx!r}, {camera.cy!r}]"
     yield "distortion_model: radial-tangential"
-    yield "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]"
+    yield f"distortion_coefficients: {list(camera.distortion or (0.0,) * 4)}"
 
 
 def _rate_hz(stamps_ns: Sequence[int]) -> float:

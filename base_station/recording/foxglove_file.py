@@ -138,9 +138,10 @@ class FoxgloveFile:
     def calibration(self, at: Stamp, camera: PinholeCamera) -> None:
         """The camera, of whole pictures."""
         fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+        distortion = (*camera.distortion, *[0.0] * 5)[:5]
         message = self._library.messages.CameraCalibration(
             timestamp=self._library.timestamp(at), frame_id=CAMERA_FRAME, width=camera.width, height=camera.height,
-            distortion_model="plumb_bob", D=[0.0] * 5, K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+            distortion_model="plumb_bob", D=list(distortion), K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
             R=[1, 0, 0, 0, 1, 0, 0, 0, 1], P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
         )  # fmt: skip
         self._log("CameraCalibrationChannel", topics.CALIBRATION, at, message)

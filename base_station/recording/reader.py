@@ -237,7 +237,11 @@ def _camera(data: bytes) -> PinholeCamera:
         raise StationError("a camera whose matrix is none")
     if not (1 <= width <= LONGEST_SIDE_PX and 1 <= height <= LONGEST_SIDE_PX):
         raise StationError(f"a camera of {width}x{height} px")
-    return PinholeCamera(width=width, height=height, fx=k[0], fy=k[4], cx=k[2], cy=k[5])
+    d = protobuf.doubles(fields, 5) if 5 in fields else ()
+    if not np.isfinite(d).all() or (any(d) and len(d) not in (4, 5)):
+        raise StationError("a camera whose distortion is none")
+    distortion = (d if any(d[4:]) else d[:4]) if any(d) else ()
+    return PinholeCamera(width=width, height=height, fx=k[0], fy=k[4], cx=k[2], cy=k[5], distortion=distortion)
 
 
 def _pose(data: bytes) -> np.ndarray:

@@ -200,15 +200,14 @@ class Pictures:
             return PinholeCamera.with_fov(width, height)
         known = self._sequence.camera
         cx, cy = (known.cx + 0.5) * scale - 0.5, (known.cy + 0.5) * scale - 0.5
-        return PinholeCamera(width=width, height=height, fx=known.fx * scale, fy=known.fy * scale, cx=cx, cy=cy)
+        fx, fy = known.fx * scale, known.fy * scale
+        return PinholeCamera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=known.distortion)
 
     def known(self) -> Known:
         """Of OTB's layout where the true box is, how large and how far aside, since the first picture."""
         notes = []
         if self._unread:
             notes.append(f"{len(self._unread)} pictures cannot be read or differ in size; the first: {self._unread[0]}")
-        if self._sequence is not None and self._sequence.camera.distortion:
-            notes.append("the camera's lens distortion is left out")
         return Known(truth=self._truth(), notes=notes)
 
     def _truth(self) -> dict[int, TargetTruth]:

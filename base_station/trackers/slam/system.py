@@ -259,9 +259,9 @@ class SlamSystem:
         `point_of` (n,): which point each feature shows, -1 for none. `cam_from_world`: about where it was taken.
         """
         reference = self.reference
-        relative = orthonormal(cam_from_world @ inverse(self._map.poses[reference]))
+        from_reference = relative(cam_from_world, self._map.poses[reference])
         none = np.empty(0, np.int64)
-        where = _Tracked(time_s, reference, relative, float(self._map.sizes[reference]))
+        where = _Tracked(time_s, reference, from_reference, float(self._map.sizes[reference]))
         return self._send(features, point_of, where, none, none, none)
 
     def _send(

@@ -29,7 +29,9 @@ from base_station.types import Box, Frame, TrackerResult, TrackingState
 from protocol import Command, FrameStamp, Telemetry, Truth
 from tests.helpers import numbered_picture
 
-CAMERA = PinholeCamera(width=160, height=120, fx=130.1, fy=131.7, cx=79.3, cy=60.9)
+CAMERA = PinholeCamera(
+    width=160, height=120, fx=130.1, fy=131.7, cx=79.3, cy=60.9, distortion=(-0.28, 0.09, 0.001, -1e-05)
+)
 TRACKED = TrackerResult(
     state=TrackingState.TRACKING, shift_px=1 / 3, bearing_rad=-0.1, zoom=1.0000000000000002, confidence=0.7,
     box=Box(10.25, 20, 30.5, 40), cam_from_world=np.arange(16.0).reshape(4, 4) / 7,
