@@ -63,7 +63,7 @@ class ZTransformSettings:
     needs_no_second: float = 0.8
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
     near: float = 0.3
-    """In sides of the target. Of the window 3 % are so near to where the target just was: chance answers elsewhere."""
+    """In sides of the target: few move further from one frame to the next."""
     far_sharpness: float = 7.5
     """What an answer elsewhere, or to a search, must have to be the loose target's..."""
     again_sharpness: float = 6.5
