@@ -14,15 +14,16 @@ import cv2
 import numpy as np
 
 from base_station.trackers.ztransform.alignment_kernels import (
+    ANYWHERE_PX,
+    MORE_TO_READ,
+    are_shown,
     compare_blocks,
-    cut_blocks,
     robust_step,
     settle,
-    slope_directions,
 )
-from base_station.trackers.ztransform.kernels import FREEDOMS, move
+from base_station.trackers.ztransform.kernels import FREEDOMS, WIDTH, move
 from base_station.trackers.ztransform.pyramid import Pyramid
-from base_station.trackers.ztransform.refinement import MORE_TO_READ
+from base_station.trackers.ztransform.resemblance import slope_directions
 from base_station.trackers.ztransform.signature import SignatureReader
 
 
@@ -45,6 +46,10 @@ class AlignmentSettings:
     """After a step longer than this comes another one."""
     steps: int = 5
     """At most, of the fine ones."""
+    near_cells: float = 1.0
+    """Settled further away than this, a target is not where it was expected..."""
+    near_steps: int = 3
+    """... nor if more steps are needed."""
     smoothing_cells: float = 1.5
     """Of the coarse steps, which come from further away."""
     coarse_steps: int = 3
@@ -64,10 +69,13 @@ class _Level:
     """What is learned of the patch, smoothed by `smoothing` cells; see `alignment_kernels`."""
 
     smoothing: float
-    learned: np.ndarray
-    energies: np.ndarray
-    changes: np.ndarray
-    hessians: np.ndarray
+    planes: np.ndarray
+    """float32 (8, cells, cells): deviations from each block's mean, their changes with the five parts of a step, the
+    directions of the slopes across and down."""
+    block_sums: np.ndarray
+    """float32 (27, blocks): energy of the deviations, of the slopes, and the products of any two changes."""
+    strong: float
+    """Median of the blocks' energies."""
 
 
 @dataclass(frozen=True)
@@ -98,39 +106,33 @@ class Aligner:
             probes.append((ahead - back) / (2 * step[freedom]))
         patch = self._means(pyramid, placement, lens)[0]
         self._fine, self._coarse = (self._level(patch, probes, s) for s in (0.0, settings.smoothing_cells))
-        self._slopes = np.stack([cut_blocks(slope, settings.blocks) for slope in slope_directions(patch)[0]])
-        self._slope_energies = np.square(self._slopes).sum((0, 2))
 
-    def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
-        """From a few tenths of a cell away to where it is exactly."""
-        placement = placement.copy()
-        for whole in (False, True):
-            found = self.settle_in(
-                self._reader.source(pyramid, placement, lens, whole=whole), pyramid.image, placement, lens
-            )
-            if found.share != MORE_TO_READ:
-                break
-        return found
-
-    def settle_in(
-        self, source: tuple[np.ndarray, np.ndarray], image: np.ndarray, placement: np.ndarray, lens: np.ndarray
-    ) -> Alignment:
-        """The same by the running sums that are at hand, in place. A share of MORE_TO_READ: it left them."""
-        settings, fine = self._settings, self._fine
-        confidence, share, alike = settle(
-            *source, lens, placement, image, fine.learned, fine.energies, fine.changes, fine.hessians, self._slopes,
-            self._slope_energies, self._prior, self._reader.cells, settings.steps, settings.repeat_px,
-            settings.largest_step, settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
-        )  # fmt: skip
-        return Alignment(placement, confidence, share, alike)
+    def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_near: bool = False) -> Alignment:
+        """From a few tenths of a cell away to where it is exactly. `is_near`: with confidence 0 where that is not near,
+        for a target that may be elsewhere."""
+        steps, farthest_px = self._settings.steps, ANYWHERE_PX
+        if is_near:
+            steps = self._settings.near_steps
+            farthest_px = self._settings.near_cells * float(placement[WIDTH]) / self._reader.cells
+        settings, fine, placement, source = self._settings, self._fine, placement.copy(), _NOTHING
+        while True:
+            confidence, share, alike = settle(
+                pyramid.image, *source, lens, placement, fine.planes, fine.block_sums, fine.strong, self._prior,
+                steps, settings.repeat_px, farthest_px, settings.largest_step, settings.judged_part,
+                settings.alike, settings.noisy_below, settings.fewest_pixels,
+            )  # fmt: skip
+            if share != MORE_TO_READ:
+                return Alignment(placement, confidence, share, alike)
+            source = pyramid.sums(1.0)
 
     def approach(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> Alignment:
         """From a cell or two away: some steps on the smoothed patch, then as `settle`."""
-        placement = placement.copy()
+        placement, shown = placement.copy(), np.ones(self._settings.blocks**2, np.uint8)
         for _ in range(self._settings.coarse_steps):
-            patch, seen, _ = self._means(pyramid, placement, lens)
-            cut, compared = self._compare(self._coarse, patch, seen)
-            self._step(self._coarse, placement, cut, compared)
+            patch, seen, share = self._means(pyramid, placement, lens)
+            if share < 1 or not shown.all():
+                are_shown(seen, shown)
+            self._step(self._coarse, placement, patch, shown)
         return self.settle(pyramid, placement, lens)
 
     def _means(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -138,27 +140,47 @@ class Aligner:
 
     def _level(self, patch: np.ndarray, probes: list[np.ndarray], smoothing: float) -> _Level:
         learned, *changes = (self._deviations(p, smoothing) for p in (patch, *probes))
-        energies = np.square(learned).sum(1)
-        as_light = [(change * learned).sum(1) / (energies + 1e-3) for change in changes]
-        kept = np.stack([c - a[:, None] * learned for c, a in zip(changes, as_light, strict=True)], 1)
-        return _Level(smoothing, learned, energies, kept, np.einsum("bki,bji->bkj", kept, kept))
+        energies = self._in_blocks(np.square(learned))
+        as_light = [self._in_blocks(change * learned) / (energies + 1e-3) for change in changes]
+        kept = [
+            c - a.repeat(self._side, 0).repeat(self._side, 1) * learned for c, a in zip(changes, as_light, strict=True)
+        ]
+        slopes = np.empty((2, *patch.shape), np.float32)
+        slope_directions(patch, slopes, np.empty_like(patch))
+        products = [self._in_blocks(one * other).ravel() for one in kept for other in kept]
+        block_sums = [energies.ravel(), self._in_blocks(np.square(slopes).sum(0)).ravel(), *products]
+        planes = np.concatenate([np.stack([learned, *kept]), slopes]).astype(np.float32)
+        return _Level(smoothing, planes, np.stack(block_sums).astype(np.float32), float(np.median(energies)))
+
+    @property
+    def _side(self) -> int:
+        """Of a block, in cells."""
+        return self._reader.cells // self._settings.blocks
+
+    def _in_blocks(self, values: np.ndarray) -> np.ndarray:
+        """Sums of each block, (blocks, blocks) of them."""
+        blocks, side = self._settings.blocks, self._side
+        return np.asarray(values.reshape(blocks, side, blocks, side).sum((1, 3)))
 
     def _deviations(self, patch: np.ndarray, smoothing: float) -> np.ndarray:
-        cut = cut_blocks(_smoothed(patch, smoothing), self._settings.blocks)
-        return cut - cut.mean(1, keepdims=True)
+        smooth, side = _smoothed(patch, smoothing), self._side
+        means = self._in_blocks(smooth) / side**2
+        return np.asarray(smooth - means.repeat(side, 0).repeat(side, 1))
 
-    def _compare(self, level: _Level, patch: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        cut = cut_blocks(_smoothed(patch, level.smoothing), self._settings.blocks)
-        shown = cut_blocks(seen, self._settings.blocks)
-        return cut, compare_blocks(cut, shown, level.learned, level.energies)
-
-    def _step(self, level: _Level, placement: np.ndarray, cut: np.ndarray, compared: np.ndarray) -> None:
+    def _step(self, level: _Level, placement: np.ndarray, patch: np.ndarray, shown: np.ndarray) -> None:
         """Move the placement in place."""
-        step = np.zeros(FREEDOMS)
+        step, deviations, compared = np.zeros(FREEDOMS), np.empty_like(patch), np.empty((2, len(shown)), np.float32)
+        planes, sums = level.planes, level.block_sums
+        compare_blocks(_smoothed(patch, level.smoothing), shown, planes[0], deviations, compared)
+        hessians = sums[2:].reshape(FREEDOMS, FREEDOMS, -1)
         robust_step(
-            cut, compared, level.learned, level.energies, level.changes, level.hessians, self._prior, step
+            deviations, compared, sums[0], level.strong, planes[1 : 1 + FREEDOMS], hessians, self._prior, step
         )  # fmt: skip
         move(placement, step, self._settings.largest_step)
+
+
+_NOTHING = np.empty((0, 0), np.int32), np.zeros(5)
+"""In the place of running sums that nobody needs yet."""
 
 
 def _moved(placement: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -1,8 +1,9 @@
 """The compiled inner loops of alignment: how a patch differs from the learned one, block by block.
 
-A patch is cut into square blocks, each flat: (blocks, cells of a block). Each block has its own offset and gain of
-light; what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step,
-less what a change of gain would do as well. `reference.py` has the plain meaning.
+A patch (cells, cells) is cut into square blocks, numbered row by row. Each block has its own offset and gain of light;
+what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step, less what
+a change of gain would do as well. All of that lies cell by cell as the patch does, so that whole rows of cells are
+reckoned side by side; only their sums are cut into blocks. `reference.py` has the plain meaning.
 """
 
 from __future__ import annotations
@@ -12,74 +13,115 @@ import math
 import numpy as np
 from numba import njit
 
-from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
+from base_station.trackers.ztransform.boxes import sample_boxes
+from base_station.trackers.ztransform.cells import covers, is_inside, part_about, read_cells, sums_down
 from base_station.trackers.ztransform.kernels import FREEDOMS, HEIGHT, WIDTH, X, Y, inner, move
-from base_station.trackers.ztransform.refinement import MORE_TO_READ
+from base_station.trackers.ztransform.resemblance import pixel_noise, resemblance, sum_blocks
 
 ROUNDING = 0.02
 """Grey levels squared: a block's misfit is never taken for less."""
-NOISE = 0.5
-"""Grey levels squared a cell, added to a block's energy: what is faint does not count as like or unlike."""
 LEAST_GAIN, LARGEST_GAIN = 0.05, 3.0
 """Of light: the whole patch's is at least the one, a block's at most the other times the whole patch's."""
-MOST_NOISE = 0.4
-"""Of a block's energy that is taken for noise."""
-FLOOR_SHARE, FLOOR = 0.5, 0.1
-"""A slope is divided by its size plus a share of the patch's mean slope plus grey levels a cell: its direction."""
-
-
-@njit(cache=True)
-def cut_blocks(patch, blocks):
-    """The patch (cells, cells) as (blocks * blocks, flat), each block row by row."""
-    side = patch.shape[0] // blocks
-    out = np.empty((blocks * blocks, side * side), patch.dtype)
-    for top in range(blocks):
-        for left in range(blocks):
-            block = out[top * blocks + left]
-            for y in range(side):
-                for x in range(side):
-                    block[y * side + x] = patch[top * side + y, left * side + x]
-    return out
+LEAST_ALIKE = 0.5
+"""Correlation of all blocks with the learned ones, where the target is to be near."""
+ANYWHERE_PX = 1e9
+"""Fast mathematics know no infinity."""
+MARGIN = 0.1
+"""Of a target's width and height: how far settling usually goes."""
+MORE_TO_READ = -1.0
+"""In the place of a share: the placement sticks out of the frame, and no running sums of the whole frame were given."""
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def compare_blocks(cut, shown, learned, energies):
-    """Of each block: gain-wise product with the learned one, energy about its mean, and the mean; (blocks, 3).
+def spread_blocks(values, out):
+    """The other way: to every cell of a row of cells the value of its block."""
+    side = len(out) // len(values)
+    for b in range(len(values)):
+        for i in range(side):
+            out[b * side + i] = values[b]
 
-    `shown`: uint8 as `cut`, 0 where the frame ends. A block that is not shown whole has energy -1.
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def are_shown(seen, out):
+    """Which blocks are shown whole, into `out`, uint8, from which cells are, uint8 (cells, cells)."""
+    blocks = round(math.sqrt(len(out)))
+    side = len(seen) // blocks
+    for b in range(len(out)):
+        top, left = b // blocks * side, b % blocks * side
+        out[b] = 1
+        for y in range(side):
+            for x in range(side):
+                out[b] &= seen[top + y, left + x]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def compare_blocks(patch, shown, learned, deviations, compared):
+    """Of each block: gain-wise product with the learned one and energy about its mean, into `compared` (2, blocks).
+
+    Into `deviations`: the patch, less each block's mean. A block that is not shown whole has energy -1.
     """
-    out = np.empty((len(cut), 3), np.float32)
-    for b in range(len(cut)):
-        total, square, product, whole = np.float32(0), np.float32(0), np.float32(0), 0
-        for i in range(cut.shape[1]):
-            total += cut[b, i]
-            whole += shown[b, i]
-        mean = total / np.float32(cut.shape[1])
-        for i in range(cut.shape[1]):
-            d = cut[b, i] - mean
-            square += d * d
-            product += d * learned[b, i]
-        out[b, 0], out[b, 1], out[b, 2] = product, square if whole == cut.shape[1] else -1.0, mean
-    return out
+    cells, blocks = len(patch), round(math.sqrt(len(shown)))
+    side = cells // blocks
+    one, two = np.empty(cells, np.float32), np.empty(cells, np.float32)
+    share = np.float32(1 / (side * side))
+    for row in range(blocks):
+        here = slice(row * blocks, (row + 1) * blocks)
+        one[:] = np.float32(0)
+        for y in range(row * side, (row + 1) * side):
+            line = patch[y]
+            for x in range(cells):
+                one[x] += line[x]
+        sum_blocks(one, compared[0, here])
+        spread_blocks(compared[0, here], two)
+        for x in range(cells):
+            two[x] *= share
+        mean = two.copy()
+        one[:] = two[:] = np.float32(0)
+        for y in range(row * side, (row + 1) * side):
+            line, then, out = patch[y], learned[y], deviations[y]
+            for x in range(cells):
+                away = line[x] - mean[x]
+                out[x] = away
+                one[x] += away * then[x]
+                two[x] += away * away
+        sum_blocks(one, compared[0, here])
+        sum_blocks(two, compared[1, here])
+    for b in range(len(shown)):
+        if shown[b] == 0:
+            compared[1, b] = np.float32(-1)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def robust_step(cut, compared, learned, energies, changes, hessians, prior, step):
+def likeness(compared, energies):
+    """Correlation with the learned patch of all blocks that are shown whole, each about its mean."""
+    product, square, energy = np.float32(0), np.float32(1e-6), np.float32(1e-6)
+    for b in range(len(energies)):
+        if compared[1, b] >= 0:
+            product += compared[0, b]
+            square += compared[1, b]
+            energy += energies[b]
+    return product / math.sqrt(square * energy)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def robust_step(deviations, compared, energies, strong, changes, hessians, prior, step):
     """The step that brings the placement to the learned one, into `step`; False when no block is shown whole.
 
     Least squares over all blocks. A block counts the less, the worse it fits whatever its light: what covers a part of
-    the target fits nowhere. `changes`: (blocks, 5, cells of a block), `hessians`: (blocks, 5, 5) of them. `prior`: (5,)
-    1 / variance of a step, against the misfit's variance.
+    the target fits nowhere. `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the
+    median of `energies`. `changes`: (5, cells, cells), `hessians`: (5, 5, blocks) of them. `prior`: (5,) 1 / variance
+    of a step, against the misfit's variance.
     """
-    blocks, freedom = len(cut), cut.shape[1] - 2
-    misfits, gains = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
-    strong = np.median(energies)
-    n, firm = 0, 0
+    blocks, cells = len(energies), len(deviations)
+    across = round(math.sqrt(blocks))
+    side = cells // across
+    misfits, weights = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
     shown_misfits, shown_gains = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
+    n, firm = 0, 0
     for b in range(blocks):
-        gain = compared[b, 0] / (energies[b] + np.float32(1e-3))
-        misfits[b] = max(compared[b, 1] - gain * compared[b, 0], np.float32(0)) / freedom
-        if compared[b, 1] >= 0:
+        gain = compared[0, b] / (energies[b] + np.float32(1e-3))
+        misfits[b] = max(compared[1, b] - gain * compared[0, b], np.float32(0)) / np.float32(side * side - 2)
+        if compared[1, b] >= 0:
             shown_misfits[n] = misfits[b]
             n += 1
             if energies[b] > strong:
@@ -87,28 +129,30 @@ def robust_step(cut, compared, learned, energies, changes, hessians, prior, step
                 firm += 1
     if n == 0:
         return False
-    usual = np.median(shown_misfits[:n]) + ROUNDING
-    whole_gain = LEAST_GAIN
+    usual = np.float32(np.median(shown_misfits[:n]) + ROUNDING)
+    whole_gain = np.float32(LEAST_GAIN)
     if firm > 0:
-        whole_gain = max(float(np.median(shown_gains[:firm])), LEAST_GAIN)
-    trust = 0.2 * strong + 1e-3
+        whole_gain = np.float32(max(float(np.median(shown_gains[:firm])), LEAST_GAIN))
+    trust, most = np.float32(0.2 * strong + 1e-3), np.float32(LARGEST_GAIN) * whole_gain
+    gains, row_weights = np.empty(blocks, np.float32), np.empty(cells, np.float32)
     for b in range(blocks):
-        gain = (compared[b, 0] + trust * whole_gain) / (energies[b] + trust)
-        gains[b] = min(max(gain, 0.0), LARGEST_GAIN * whole_gain)
+        gain = (compared[0, b] + trust * whole_gain) / (energies[b] + trust)
+        gain = min(max(gain, np.float32(0)), most)
+        weight = usual / (misfits[b] + usual) * gain
+        weights[b] = weight if compared[1, b] >= 0 else np.float32(0)
+        gains[b] = weights[b] * gain
+    for row in range(across):
+        spread_blocks(weights[row * across : (row + 1) * across], row_weights)
+        for y in range(row * side, (row + 1) * side):
+            line = deviations[y]
+            for x in range(cells):
+                line[x] *= row_weights[x]
     hessian, slope = np.zeros((FREEDOMS, FREEDOMS)), np.zeros(FREEDOMS)
     for k in range(FREEDOMS):
-        hessian[k, k] = prior[k] * usual
-    for b in range(blocks):
-        if compared[b, 1] < 0:
-            continue
-        weight = usual / (misfits[b] + usual) * gains[b]
-        for k in range(FREEDOMS):
-            product = np.float32(0)
-            for i in range(cut.shape[1]):
-                product += changes[b, k, i] * cut[b, i]
-            slope[k] -= weight * product
-            for j in range(k + 1):
-                hessian[k, j] += weight * gains[b] * hessians[b, k, j]
+        slope[k] = -inner(changes[k].ravel(), deviations.ravel())
+        for j in range(k + 1):
+            hessian[k, j] = inner(hessians[k, j], gains)
+        hessian[k, k] += prior[k] * usual
     solve(hessian, slope, step)
     return True
 
@@ -138,151 +182,54 @@ def solve(matrix, right, out):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def slope_directions(patch):
-    """Central differences along the rows and down, float32 (2, cells, cells), of length below 1: their directions.
-
-    Faint slopes are shorter. The outermost cells have none. And (cells, cells): by what each slope was multiplied.
-    """
-    cells = patch.shape[0]
-    out, scales = np.zeros((2, cells, cells), np.float32), np.zeros((cells, cells), np.float32)
-    half, total = np.float32(0.5), np.float32(0)
-    for y in range(1, cells - 1):
-        for x in range(1, cells - 1):
-            across, down = half * (patch[y, x + 1] - patch[y, x - 1]), half * (patch[y + 1, x] - patch[y - 1, x])
-            out[0, y, x], out[1, y, x] = across, down
-            total += math.sqrt(across * across + down * down)
-    floor = np.float32(FLOOR_SHARE) * total / np.float32((cells - 2) ** 2) + np.float32(FLOOR)
-    for y in range(1, cells - 1):
-        for x in range(1, cells - 1):
-            across, down = out[0, y, x], out[1, y, x]
-            scale = np.float32(1) / (math.sqrt(across * across + down * down) + floor)
-            out[0, y, x], out[1, y, x], scales[y, x] = across * scale, down * scale, scale
-    return out, scales
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def best_part(likeness, weights, part):
-    """Weighted mean of the most alike blocks, which together have this part of the weight."""
-    whole = weights.sum()
-    if whole <= 0:
-        return 0.0
-    if part >= 1:
-        return inner(weights, likeness) / whole
-    order = np.argsort(-likeness)
-    total, sum_of = 0.0, 0.0
-    for b in order:
-        weight = min(weights[b], part * whole - total)
-        sum_of += weight * likeness[b]
-        total += weight
-        if total >= part * whole:
-            break
-    return sum_of / (part * whole)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def resemblance(patch, compared, energies, learned_slopes, slope_energies, part, alike, noise):
-    """How much a patch is like the learned one, and the share of it that is; both 0..1.
-
-    The product of three: the blocks' correlations and those of their slopes' directions, each over the best `part` of
-    the blocks, and, at half weight, the latter over all blocks. Directions know finer detail, faint as well as strong:
-    a mirror image has but the first. `noise`: standard deviation of a cell; the energy that it adds, up to
-    MOST_NOISE of a block's, does not count against the likeness.
-    """
-    blocks = len(compared)
-    side = round(math.sqrt(blocks))
-    slopes, scales = slope_directions(patch)
-    across, down = cut_blocks(slopes[0], side), cut_blocks(slopes[1], side)
-    scale = cut_blocks(scales, side) if noise > 0 else across
-    variance = np.float32(noise * noise)
-    light, fine = np.empty(blocks, np.float32), np.empty(blocks, np.float32)
-    light_weights, fine_weights = np.zeros(blocks, np.float32), np.zeros(blocks, np.float32)
-    faint = np.float32(NOISE * across.shape[1])
-    total, agreed = 0.0, 0.0
-    for b in range(blocks):
-        product, energy, added = np.float32(0), np.float32(1e-6), np.float32(0)
-        for i in range(across.shape[1]):
-            product += across[b, i] * learned_slopes[0, b, i] + down[b, i] * learned_slopes[1, b, i]
-            energy += across[b, i] * across[b, i] + down[b, i] * down[b, i]
-            added += variance * scale[b, i] * scale[b, i]
-        energy = max(energy - added, (np.float32(1) - np.float32(MOST_NOISE)) * energy)
-        fine[b] = min(product / math.sqrt(energy * slope_energies[b] + np.float32(1e-6)), np.float32(1))
-        square = max(compared[b, 1], np.float32(0))
-        square = max(square - variance * across.shape[1], (np.float32(1) - np.float32(MOST_NOISE)) * square)
-        light[b] = min(compared[b, 0] / math.sqrt((energies[b] + faint) * (square + faint)), np.float32(1))
-        if compared[b, 1] >= 0:
-            light_weights[b], fine_weights[b] = math.sqrt(energies[b]), math.sqrt(slope_energies[b])
-            total += light_weights[b]
-            agreed += light_weights[b] if light[b] > alike else 0.0
-    if total <= 0:
-        return 0.0, 0.0
-    light_part, fine_part = best_part(light, light_weights, part), best_part(fine, fine_weights, part)
-    whole = max(best_part(fine, fine_weights, 1.0), 0.0)
-    return max(light_part, 0.0) * max(fine_part, 0.0) * (0.5 + 0.5 * whole), agreed / total
-
-
-@njit(cache=True, error_model="numpy")
-def pixel_noise(image, placement):
-    """Standard deviation of the pixels' noise in every eighth row of the target, by second differences; 0 if few."""
-    x, y, width, height = placement[X], placement[Y], placement[WIDTH], placement[HEIGHT]
-    top, bottom = max(int(y - height / 2), 0), min(max(int(y + height / 2), 0), image.shape[0])
-    left, right = max(int(x - width / 2), 0), min(max(int(x + width / 2), 0), image.shape[1])
-    counts, n = np.zeros(1021, np.int64), 0
-    for row in range(top, bottom, 8):
-        line = image[row]
-        for column in range(left + 1, right - 1):
-            fine = np.int64(line[column - 1]) - 2 * np.int64(line[column]) + np.int64(line[column + 1])
-            counts[abs(fine)] += 1
-            n += 1
-    if n == 0:
-        return 0.0
-    median = 0.5 * (_ranked(counts, (n - 1) // 2) + _ranked(counts, n // 2))
-    return 1.4826 * median / math.sqrt(6.0)
-
-
-@njit(cache=True, error_model="numpy")
-def _ranked(counts, rank):
-    """Of numbers counted by their value, the one with so many before it."""
-    value, before = 0, counts[0]
-    while before <= rank:
-        value += 1
-        before += counts[value]
-    return value
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
 def settle(
-    table, where, lens, placement, image, learned, energies, changes, hessians, slopes, slope_energies, prior,
-    cells, steps, repeat_px, largest_step, judged_part, alike, noisy_below, fewest_pixels,
+    image, table, where, lens, placement, planes, block_sums, strong, prior, steps, repeat_px, farthest_px,
+    largest_step, judged_part, alike, noisy_below, fewest_pixels,
 ):  # fmt: skip
     """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
 
-    Read, compare, step; again while a step is longer than `repeat_px`. A share of MORE_TO_READ: the placement left the
-    table, go on with one of the whole frame. `image`: the frame, whose noise is measured where confidence is below
-    `noisy_below`.
+    Read, compare, step; again while a step is longer than `repeat_px`. With `farthest_px` below ANYWHERE_PX the target
+    is taken to be near: confidence is 0 where steps lead further away, do not end, or the first look has little in
+    common with it, from where they may lead anywhere. `planes`, `block_sums`: see `alignment`. `table`:
+    running sums of the whole frame, or nothing, and where they are (see `boxes`); only a placement that sticks out of
+    the frame needs them. `image`: the frame, whose noise is measured where confidence is below `noisy_below`.
     """
-    is_whole = table.shape[1] - 1 >= where[3] and table.shape[0] - 1 >= where[4]
-    blocks = round(math.sqrt(len(learned)))
-    patch, seen, step = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8), np.zeros(FREEDOMS)
-    shown = cut_blocks(seen, blocks)
-    compared, share = np.empty((len(learned), 3), np.float32), 1.0
+    cells, blocks, horizon_px = planes.shape[1], block_sums.shape[1], lens[3]
+    learned, changes, slopes = planes[0], planes[1 : 1 + FREEDOMS], planes[1 + FREEDOMS :]
+    energies, slope_energies = block_sums[0], block_sums[1]
+    hessians = block_sums[2:].reshape(FREEDOMS, FREEDOMS, blocks)
+    patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
+    shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
+    part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
+    sums, is_read, share, step = np.empty((0, 0), np.uint16), False, 1.0, np.zeros(FREEDOMS)
     for turn in range(steps + 1):
-        if lies(table, where, lens, placement) == IN_FRAME:
-            sample_inside(table, where, lens, placement, patch)
+        if is_inside(image, placement, horizon_px, cells):
+            if not is_read or not covers(part, image, placement, horizon_px):
+                part = part_about(image, placement, horizon_px, MARGIN)
+                sums, is_read = sums_down(image, part), True
+            read_cells(image, part, sums, placement, horizon_px, patch)
             if share < 1:
                 share, shown[:] = 1.0, 1
-        elif not is_whole:
+        elif len(table) < 2:
             return 0.0, MORE_TO_READ, 0.0
         else:
+            seen = np.empty((cells, cells), np.uint8)
             share = sample_boxes(table, where, lens, placement, patch, seen)
-            shown = cut_blocks(seen, blocks)
-        cut = cut_blocks(patch, blocks)
-        compared = compare_blocks(cut, shown, learned, energies)
+            are_shown(seen, shown)
+        compare_blocks(patch, shown, learned, deviations, compared)
         if turn == steps:
+            if farthest_px < ANYWHERE_PX:
+                return 0.0, share, 0.0
             break
+        if turn == 0 and farthest_px < ANYWHERE_PX and likeness(compared, energies) < LEAST_ALIKE:
+            return 0.0, share, 0.0
         step[:] = 0.0
-        robust_step(cut, compared, learned, energies, changes, hessians, prior, step)
+        robust_step(deviations, compared, energies, strong, changes, hessians, prior, step)
+        long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
         move(placement, step, largest_step)
-        if math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT]) < repeat_px:
+        if max(abs(placement[X] - start_x), abs(placement[Y] - start_y)) > farthest_px:
+            return 0.0, share, 0.0
+        if long_px < repeat_px:
             break
     confidence, seen_alike = resemblance(
         patch, compared, energies, slopes, slope_energies, judged_part, alike, 0.0

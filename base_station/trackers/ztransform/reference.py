@@ -140,6 +140,23 @@ def box_profiles(
     return np.concatenate([across, down.reshape(cells, bands, strips).mean(2).T])
 
 
+def cell_means(image: np.ndarray, horizon_px: float, placement: np.ndarray, cells: int) -> np.ndarray:
+    """Means (cells, cells) of a placement that lies in the image, its lens flat; every column of pixels is cut between
+    the straight edges of the cells, at its middle."""
+    x, y, width, height, keystone = placement.tolist()
+    u = np.arange(cells + 1) / cells - 0.5
+    edges, middles = x + width * u / (1 + keystone * u) + 0.5, np.arange(image.shape[1]) + 0.5
+    across = np.minimum(edges[1:, None], middles + 0.5) - np.maximum(edges[:-1, None], middles - 0.5)
+    rows = np.arange(image.shape[0])[:, None]
+    lines = horizon_px + 0.5 + (y - horizon_px + height * u)[:, None] * (1 - keystone * (middles - 0.5 - x) / width)
+    out = np.empty((cells, cells))
+    for j in range(cells):
+        down = np.clip(np.minimum(lines[j + 1], rows + 1) - np.maximum(lines[j], rows), 0, 1)
+        weights = np.clip(across, 0, 1)
+        out[j] = weights @ (down * image).sum(0) / (weights @ down.sum(0))
+    return out
+
+
 def _columns(count: int, scale: int, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, ...]:
     """So many columns of a placement: their edges, their middles, and the shrinking of heights in their middles."""
     out = []

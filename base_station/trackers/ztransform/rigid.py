@@ -106,7 +106,9 @@ class RigidFollower:
     ) -> Look:
         """Refine from the prediction; if that looks less like it than `enough`, from further afield. Does so in a band
         of the frame too."""
-        best = self._refine(pyramid, predicted, lens, _FOLLOW)
+        best = self._settle_near(pyramid, predicted, lens)
+        if best.confidence < enough:
+            best = _better(best, self._refine(pyramid, predicted, lens, _FOLLOW))
         for start in (predicted, last):
             if best.confidence < enough:
                 best = _better(best, self._refine(pyramid, start, lens, _WIDER))
@@ -140,6 +142,12 @@ class RigidFollower:
             best = _better(best, self._approach(pyramid, self._pieces.find(pyramid, last, lens), lens))
         return best
 
+    def _settle_near(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray) -> Look:
+        """Where a good prediction says: without the signature, which would come to the same."""
+        if self._is_place:
+            return Look(start, 0.0, 0.0)
+        return self._judged(pyramid, self._aligner.settle(pyramid, *_in_band(pyramid, start, lens), is_near=True))
+
     def _approach(self, pyramid: Pyramid, start: np.ndarray, lens: np.ndarray) -> Look:
         """Without the signature, for it knows no covered parts."""
         return self._judged(pyramid, self._aligner.approach(pyramid, *_in_band(pyramid, start, lens)))
@@ -155,7 +163,7 @@ class RigidFollower:
             if self._is_place or share < ENOUGH_SEEN:
                 found = Alignment(placement, confidence, share, 1.0)
             else:
-                found = self._aligner.settle_in(source, pyramid.image, placement, lens)
+                found = self._aligner.settle(pyramid, placement, lens)
             if found.share != MORE_TO_READ:
                 break
         return self._judged(pyramid, found)

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
+from base_station.trackers.ztransform.boxes import sample_boxes
+from base_station.trackers.ztransform.cells import read_inside
 from base_station.trackers.ztransform.kernels import read_signature
 from base_station.trackers.ztransform.poles import PoleSettings, scale_weights, spiral_poles
 from base_station.trackers.ztransform.pyramid import Pyramid
@@ -88,14 +89,11 @@ class SignatureReader:
     def means(
         self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, cells: int
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """As `patch`, of any number of cells a side; of the frame no more is summed up than need be."""
+        """As `patch`, of any number of cells a side, from the frame's own pixels: exact for a flat lens."""
         patch, seen = np.empty((cells, cells), np.float32), np.ones((cells, cells), np.uint8)
-        source = self.source(pyramid, placement, lens, cells=cells)
-        if lies(*source, lens, placement) == IN_FRAME:
-            sample_inside(*source, lens, placement, patch)
+        if lens[0] <= 0 and read_inside(pyramid.image, placement, float(lens[3]), patch):
             return patch, seen, 1.0
-        source = self.source(pyramid, placement, lens, cells=cells, whole=True)
-        return patch, seen, sample_boxes(*source, lens, placement, patch, seen)
+        return patch, seen, sample_boxes(*pyramid.sums(1.0), lens, placement, patch, seen)
 
     def signature(self, patch: np.ndarray) -> tuple[np.ndarray, float]:
         """Signature float32 (size,) of length 1, and its length before normalising: the contrast that was there."""

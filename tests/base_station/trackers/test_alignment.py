@@ -9,9 +9,9 @@ from base_station.evaluation.conditions import TARGET, Disturbance, disturbed_vi
 from base_station.evaluation.tracker_benchmark import Sitting
 from base_station.evaluation.worlds import generated_world
 from base_station.geometry import PinholeCamera
-from base_station.trackers.ztransform import alignment_kernels, kernels, reference
+from base_station.trackers.ztransform import alignment_kernels, cells, kernels, reference, resemblance
 from base_station.trackers.ztransform.alignment import Aligner, AlignmentSettings
-from base_station.trackers.ztransform.boxes import IN_FRAME, lies, sample_boxes, sample_inside
+from base_station.trackers.ztransform.boxes import sample_boxes
 from base_station.trackers.ztransform.outline import lens_of
 from base_station.trackers.ztransform.pieces import count_votes
 from base_station.trackers.ztransform.pyramid import Pyramid
@@ -46,37 +46,61 @@ def patches(seed, cells=24):
     return learned, patch
 
 
+def as_patch(cut, blocks):
+    """Undoes `reference.blocks_of`."""
+    side = round(cut.shape[-1] ** 0.5)
+    square = cut.reshape(blocks, blocks, side, side).swapaxes(1, 2)
+    return np.ascontiguousarray(square.reshape(blocks * side, blocks * side))
+
+
+def directions_of(patch):
+    slopes, scales = np.empty((2, *patch.shape), np.float32), np.empty_like(patch)
+    resemblance.slope_directions(patch, slopes, scales)
+    return slopes, scales
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_kernels_are_their_definitions(seed):
     learned, patch = patches(seed)
     rng, blocks = np.random.default_rng(seed), 6
-    cut = alignment_kernels.cut_blocks(patch, blocks)
-    np.testing.assert_array_equal(cut, reference.blocks_of(patch, blocks))
-    shown = rng.random(len(cut)) > 0.1
-    deviations = reference.blocks_of(learned, blocks)
-    deviations -= deviations.mean(1, keepdims=True)
-    energies = (deviations**2).sum(1)
-    changes = rng.normal(0, 9, (len(cut), 5, cut.shape[1])).astype(np.float32)
+    cut, seen, shown = reference.blocks_of(patch, blocks), np.ones(patch.shape, np.uint8), np.empty(36, np.uint8)
+    seen[3:5, 10], seen[:, -1] = 0, 0
+    alignment_kernels.are_shown(seen, shown)
+    np.testing.assert_array_equal(shown == 1, reference.blocks_of(seen, blocks).all(1))
+    learned_cut = reference.blocks_of(learned, blocks)
+    learned_cut -= learned_cut.mean(1, keepdims=True)
+    energies = (learned_cut**2).sum(1)
+    changes = rng.normal(0, 9, (36, 5, cut.shape[1])).astype(np.float32)
     changes -= changes.mean(2, keepdims=True)
-    prior, step = np.array([1e3, 1e3, 1e2, 1e2, 10]), np.zeros(5)
-    seen = np.repeat(shown[:, None].astype(np.uint8), cut.shape[1], 1)
-    compared = alignment_kernels.compare_blocks(cut, seen, deviations, energies)
-    hessians = np.einsum("bki,bji->bkj", changes, changes)
-    assert alignment_kernels.robust_step(cut, compared, deviations, energies, changes, hessians, prior, step)
-    np.testing.assert_allclose(
-        step, reference.robust_step(cut.astype(float), shown, deviations, changes, prior), rtol=2e-3, atol=1e-5
-    )
-    slopes = alignment_kernels.slope_directions(patch)
-    for found, plain in zip(slopes, reference.slope_directions(patch.astype(float)), strict=True):
+    prior, step, strong = np.array([1e3, 1e3, 1e2, 1e2, 10]), np.zeros(5), float(np.median(energies))
+    deviations, compared = np.empty_like(patch), np.empty((2, 36), np.float32)
+    compare = shown, as_patch(learned_cut, blocks), deviations, compared
+    alignment_kernels.compare_blocks(patch, *compare)
+    away = cut - cut.mean(1, keepdims=True)
+    np.testing.assert_allclose(deviations, as_patch(away, blocks), atol=1e-3)
+    both, whole = away[shown == 1], learned_cut[shown == 1]
+    alike = (both * whole).sum() / np.sqrt((both**2).sum() * (whole**2).sum())
+    assert alignment_kernels.likeness(compared, energies) == pytest.approx(alike, abs=1e-3)
+    planes, hessians = [as_patch(changes[:, k], blocks) for k in range(5)], np.einsum("bki,bji->kjb", changes, changes)
+    learned_of = energies, strong, np.stack(planes), np.ascontiguousarray(hessians)
+    assert alignment_kernels.robust_step(deviations, compared, *learned_of, prior, step)
+    expected = reference.robust_step(cut.astype(float), shown == 1, learned_cut, changes, prior)
+    np.testing.assert_allclose(step, expected, rtol=2e-3, atol=1e-5)
+    for found, plain in zip(directions_of(patch), reference.slope_directions(patch.astype(float)), strict=True):
         np.testing.assert_allclose(found, plain, rtol=1e-4, atol=1e-4)
-    then = np.stack([alignment_kernels.cut_blocks(s, blocks) for s in alignment_kernels.slope_directions(learned)[0]])
-    compared = alignment_kernels.compare_blocks(cut, np.ones_like(seen), deviations, energies)
+    then = directions_of(learned)[0]
+    alignment_kernels.compare_blocks(patch, np.ones(36, np.uint8), *compare[1:])
+    then_energies = sum((reference.blocks_of(slopes, blocks) ** 2).sum(1) for slopes in then)
     for noise in (0.0, 2.0, 20.0):
-        like, alike = alignment_kernels.resemblance(
-            patch, compared, energies, then, (then**2).sum((0, 2)), 0.5, 0.7, noise
-        )
+        like, alike = resemblance.resemblance(patch, compared, energies, then, then_energies, 0.5, 0.7, noise)
         assert like == pytest.approx(reference.resemblance(patch, learned, blocks, 0.5, noise), abs=1e-3)
     assert 0.5 < alike < 0.95
+
+
+def test_no_block_in_the_frame_is_no_step():
+    deviations, nothing = np.zeros((24, 24), np.float32), np.full((2, 36), -1, np.float32)
+    learned = np.ones(36, np.float32), 1.0, np.zeros((5, 24, 24), np.float32), np.zeros((5, 5, 36), np.float32)
+    assert not alignment_kernels.robust_step(deviations, nothing, *learned, np.ones(5), np.zeros(5))
 
 
 def test_votes_are_their_definition():
@@ -89,16 +113,31 @@ def test_votes_are_their_definition():
     assert divmod(int(votes.argmax()), 6) == (2, 4)
 
 
-@pytest.mark.parametrize("keystone", [0.0, 0.11, -0.2])
-def test_reading_inside_of_the_frame_is_reading(worlds, keystone):
-    reader, pyramid = SignatureReader(SignatureSettings()), Pyramid(reference_view(worlds[0]))
-    placement = PLACEMENT + np.array([3.3, -7.7, 13, -9, keystone])
-    quick, plain, seen = np.empty((48, 48), np.float32), np.empty((48, 48), np.float32), np.empty((48, 48), np.uint8)
-    sample_boxes(*reader.source(pyramid, placement, LENS, whole=True), LENS, placement, plain, seen)
-    part = reader.source(Pyramid(pyramid.image), placement, LENS)
-    assert lies(*part, LENS, placement) == IN_FRAME
-    sample_inside(*part, LENS, placement, quick)
-    np.testing.assert_allclose(quick, plain, atol=1e-3)
+@pytest.mark.parametrize("keystone", [0.0, 0.004, 0.11, -0.2])
+@pytest.mark.parametrize("size", [(240, 180), (30, 41), (520, 300)])
+def test_cells_are_means_of_pixels(worlds, keystone, size):
+    image, horizon_px = reference_view(worlds[0]), 231.3
+    placement, patch = np.array([322.8, 231.8, *size, keystone]), np.empty((48, 48), np.float32)
+    assert cells.read_inside(image, placement, horizon_px, patch)
+    np.testing.assert_allclose(patch, reference.cell_means(image, horizon_px, placement, 48), atol=2e-3)
+    if abs(keystone) < 0.01:  # there cells are next to upright boxes
+        boxes, seen = np.empty_like(patch), np.empty(patch.shape, np.uint8)
+        lens = LENS * (1, 1, 1, 0) + (0, 0, 0, horizon_px)
+        assert sample_boxes(*Pyramid(image).sums(1.0), lens, placement, boxes, seen) == 1
+        np.testing.assert_allclose(patch, boxes, atol=2e-3 if not keystone else 1)
+
+
+@pytest.mark.parametrize("placement", [(100, 240, 240, 180, 0), (320, 450, 100, 80, 0), (320, 240, 200, 100, 2.1)])
+def test_what_sticks_out_is_not_read(placement):
+    placement, image = np.array(placement, float), np.full((480, 640), 255, np.uint8)
+    assert not cells.read_inside(image, placement, 239.5, np.empty((48, 48), np.float32))
+
+
+def test_reading_is_exact_at_the_frame_s_very_edge():
+    image = np.random.default_rng(0).integers(0, 255, (96, 144), np.uint8)
+    placement, patch = np.array([71.5, 47.5, 144, 96, 0]), np.empty((48, 48), np.float32)
+    assert cells.read_inside(image, placement, 47.5, patch)
+    np.testing.assert_allclose(patch, image.reshape(48, 2, 48, 3).mean((1, 3)), atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +170,8 @@ def plainly_settled(aligner, pyramid, placement):
         if turn == settings.steps:
             break
         cut, shown = (reference.blocks_of(p, settings.blocks) for p in (patch.astype(float), seen))
-        step = reference.robust_step(cut, shown.all(1), fine.learned, fine.changes, aligner._prior)
+        learned, *changes = (reference.blocks_of(plane, settings.blocks) for plane in fine.planes[:6])
+        step = reference.robust_step(cut, shown.all(1), learned, np.stack(changes, 1), aligner._prior)
         kernels.move(placement, step, settings.largest_step)
         if np.hypot(step[0] * placement[2], step[1] * placement[3]) < settings.repeat_px:
             break
@@ -156,6 +196,15 @@ def test_settling_in_one_call_is_settling_step_by_step(worlds, aligner, dx, nois
     assert found.share == share
     if confidence is not None:
         assert found.confidence == pytest.approx(confidence, abs=1e-3)
+
+
+@pytest.mark.parametrize(("off_px", "is_found"), [(0.0, True), (3.0, True), (12.0, False), (60.0, False)])
+def test_a_target_that_should_be_near_is_near_or_not_found(worlds, aligner, off_px, is_found):
+    there = Pyramid(disturbed_view(worlds[0], Disturbance(dx=7.3, noise=3), np.random.default_rng(1)))
+    expected = PLACEMENT + np.array([7.3 - off_px, 0.4, 1, -1, 0])
+    found = aligner.settle(there, expected, LENS, is_near=True)
+    assert (found.confidence > 0.9) == is_found
+    assert found.confidence == 0 or found.placement[0] - PLACEMENT[0] == pytest.approx(7.3, abs=0.05)
 
 
 def test_a_covered_quarter_is_left_out(worlds, aligner):
