@@ -54,7 +54,7 @@ class Scene:
                 for i, corner in enumerate(corners):
                     scene.line([0, 0, 0], corner).material(CAMERA)
                     scene.line(corner, corners[(i + 1) % 4]).material(CAMERA)
-        scene.move_camera(x=0, y=-6.0, z=4.0, look_at_x=0, look_at_y=0, look_at_z=0, duration=0)
+        scene.move_camera(x=0, y=-7.5, z=4.5, look_at_x=0, look_at_y=-1.5, look_at_z=0, duration=0)
 
     def _draw(self, world: Map) -> None:
         points, keyframes = rows_of(world.points), rows_of(world.keyframes)
