@@ -8,6 +8,7 @@ from contextlib import ExitStack
 
 from base_station.behaviours.registry import BEHAVIOURS
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings
+from base_station.console.web import check_installed
 from base_station.errors import StationError
 from base_station.landmark_shelf import LandmarkShelf
 from base_station.publication.service import OrderTaker, Publication
@@ -25,6 +26,7 @@ def check_console(settings: ConsoleSettings) -> None:
     """Find mistakes of usage before anything is opened. Raises StationError."""
     if not 1 <= settings.port <= 65535:
         raise StationError(f"--console-port must be 1..65535, not {settings.port}.", usage=True)
+    check_installed()
 
 
 def watching_console(settings: ConsoleSettings, say: Callable[[str], None]) -> Watch:

@@ -152,7 +152,8 @@ def _check(run: Run) -> None:
             raise StationError(f"{name} must be 1..8192, not {side}.", usage=True)
     if not 1 <= run.port <= 65532:
         raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
-    check_console(_console_settings(run))
+    if run.console:
+        check_console(_console_settings(run))
     for name, path in (("--summary", run.summary), ("--picture", run.picture)):
         if path is not None and not path.parent.is_dir():
             raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)

@@ -54,17 +54,17 @@ class Scene:
                 for i, corner in enumerate(corners):
                     scene.line([0, 0, 0], corner).material(CAMERA)
                     scene.line(corner, corners[(i + 1) % 4]).material(CAMERA)
-        scene.move_camera(x=0, y=-4.5, z=3.5, look_at_x=0, look_at_y=0.8, look_at_z=0, duration=0)
+        scene.move_camera(x=0, y=-7.5, z=4.5, look_at_x=0, look_at_y=-1.5, look_at_z=0, duration=0)
 
     def _draw(self, world: Map) -> None:
         points, keyframes = rows_of(world.points), rows_of(world.keyframes)
         self._counts.set_text(f"{world.keyframe_count} keyframes, {world.point_count} points")
-        middle, scale = fitted(np.concatenate([points, keyframes]))
+        pose = np.reshape(world.camera or (), (-1, 4)) if len(world.camera or ()) == 16 else None
+        middle, scale = fitted(points, keyframes if pose is None else np.vstack([keyframes, pose[:3, 3]]))
         for cloud, rows in ((self._points, points), (self._keyframes, keyframes)):
             cloud.set_points(np.round(to_scene((rows - middle) * scale), 3).tolist())
-        self._camera.visible(world.camera is not None)
-        if world.camera is not None:
-            pose = np.array(world.camera).reshape(4, 4)
+        self._camera.visible(pose is not None)
+        if pose is not None:
             self._camera.move(*to_scene((pose[:3, 3] - middle)[None] * scale)[0].tolist())
             self._camera.rotate_R((AXES @ pose[:3, :3]).tolist())
 
@@ -78,13 +78,16 @@ def to_scene(rows: np.ndarray) -> np.ndarray:
     return rows @ AXES.T
 
 
-def fitted(rows: np.ndarray) -> tuple[np.ndarray, float]:
-    """Middle (3,) and scale that bring most of these rows (n, 3) into the scene; a few far ones may lie outside."""
-    if not len(rows):
+def fitted(points: np.ndarray, cameras: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (3,) and scale that bring most of the points (n, 3), and all cameras (m, 3), into the scene."""
+    ends = [np.percentile(points, (10, 90), axis=0)] if len(points) else []
+    if len(cameras):
+        ends.append(np.stack([cameras.min(0), cameras.max(0)]))
+    if not ends:
         return np.zeros(3), 1.0
-    middle = np.median(rows, 0)
-    far = float(np.percentile(np.abs(rows - middle).max(1), 80))
-    return middle, EXTENT / far if far > 1e-9 else 1.0
+    low, high = np.min([end[0] for end in ends], 0), np.max([end[1] for end in ends], 0)
+    half = float((high - low).max()) / 2
+    return (low + high) / 2, EXTENT / half if half > 1e-9 else 1.0
 
 
 def rows_of(data: bytes) -> np.ndarray:

@@ -19,7 +19,7 @@ from base_station.console.launcher import ConsoleProcess, ConsoleSettings, addre
 from base_station.console.line import SILENT, Line
 from base_station.console.plots import CURVES, history_options, history_series
 from base_station.console.routes import LARGEST_ORDER_BYTES, read_order
-from base_station.console.scene import fitted, rows_of, to_scene
+from base_station.console.scene import EXTENT, fitted, rows_of, to_scene
 from base_station.errors import StationError
 from base_station.orders import Order
 from base_station.publication.schema import Head, Seen, State, Wish
@@ -230,7 +230,10 @@ def test_the_plots_lines_end_now_and_have_gaps():
 
 def test_the_map_is_turned_upright_and_fitted():
     assert to_scene(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, 3.0, -2.0]]
-    middle, scale = fitted(np.random.default_rng(0).normal(5.0, 0.01, (500, 3)))
-    assert middle == pytest.approx([5, 5, 5], abs=0.01) and scale > 100
-    assert fitted(np.empty((0, 3)))[1] == 1.0 and fitted(np.ones((3, 3)))[1] == 1.0
+    points = np.random.default_rng(0).uniform(4.0, 6.0, (500, 3))
+    points[0] = 1000.0
+    middle, scale = fitted(points, np.array([[5.0, 5.0, 0.0]]))
+    assert middle == pytest.approx([5, 5, 2.9], abs=0.15) and scale == pytest.approx(EXTENT / 2.9, rel=0.05)
+    none = np.empty((0, 3))
+    assert fitted(none, none)[1] == 1.0 and fitted(np.ones((3, 3)), none)[1] == 1.0
     assert rows_of(np.arange(7, dtype="<f4").tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
