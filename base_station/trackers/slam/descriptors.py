@@ -55,7 +55,7 @@ _PAIRS = np.ascontiguousarray(PAIRS.transpose(1, 2, 0), np.float32)
 def _describe(level, smooth, corners, disc, window, pairs, places, angles, looks):
     """Whether all corners are far enough from the border."""
     along, across = np.empty(LANES, np.int16), np.empty(LANES, np.int16)
-    patch = np.empty(_SIDE * _SIDE, np.float32)
+    patch = np.zeros(_SIDE * _SIDE + 1, np.float32)  # the last gradient, which weighs nothing, reads one more
     first, second = np.empty(pairs.shape[2], np.int32), np.empty(pairs.shape[2], np.int32)
     flat = smooth.reshape(-1)
     height, width = level.shape

@@ -46,6 +46,7 @@ def rehearse_mapping() -> Mapper:
         relative[:3, 3] *= float(mapper.map.poses[1][0, 3]) / 0.1
         new = NewKeyframe(step, float(step), views[step], half, 0, relative, 1.0, words, none, none, none)
         mapper.insert(new)
+    mapper.settle(0)
     return mapper
 
 

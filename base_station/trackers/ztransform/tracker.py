@@ -406,14 +406,17 @@ class ZTransformTracker:
             raise ValueError(f"the target is too small: {target.width:.0f}x{target.height:.0f} px")
 
     def _warm_up(self) -> None:
-        """Compile (or load) the kernels now, on a small made-up picture, so that the first frames are not late."""
-        picture = np.random.default_rng(0).integers(0, 255, (48, 64), np.uint8)
+        """Compile (or load) the kernels now, on small made-up pictures, so that the first frames are not late: of the
+        target, of something else, and of the target again."""
+        picture, other = np.random.default_rng(0).integers(0, 255, (2, 48, 64), np.uint8)
+        picture.flags.writeable = other.flags.writeable = False  # as a robot's are: another type to compiled code
         frame = Frame(image=picture, number=1, time_s=0.0, camera=PinholeCamera.with_fov(64, 48))
         few = replace(self._settings.rigid, regression=RegressionSettings(samples=8))
         kept = self._settings, self._rigid
         self._settings, self._rigid = ZTransformSettings(least_texture=0), RigidFollower(few)
         self.learn(frame, Box(40, 8, 32, 32))
         self.update(frame)
+        self.update(replace(frame, image=other))
         self._is_tracking = False
         self.update(frame)
         self._follow_loose(Pyramid(picture), 0.0)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -139,3 +143,27 @@ def test_spreading_takes_the_best_of_each_cell_before_any_second():
     picked = spread(np.vstack([crowd, lonely]).astype(np.int32), 40.0, 340, 240, 6)
     assert {100, 101, 102} < set(picked.tolist())
     assert len(set(picked.tolist())) == 6
+
+
+def test_memory_that_nobody_wrote_decides_nothing():
+    """The same bits whatever glibc fills new memory with: a place read beyond an array's end would show."""
+    program = (
+        "import hashlib, numpy as np\n"
+        "from base_station.trackers.slam.camera import SlamCamera\n"
+        "from base_station.trackers.slam.features import FeatureExtractor\n"
+        "picture = np.random.default_rng(0).integers(0, 255, (24, 32), np.uint8).repeat(10, 0).repeat(10, 1)\n"
+        "camera = SlamCamera(width_px=320, height_px=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)\n"
+        "found = FeatureExtractor(camera)(picture)\n"
+        "arrays = (found.xy_px, found.octave, found.angle_deg, found.descriptors)\n"
+        "print(len(found.xy_px), hashlib.sha256(b''.join(array.tobytes() for array in arrays)).hexdigest())\n"
+    )
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "MALLOC_PERTURB_": fill},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for fill in ("1", "165")
+    }
+    assert len(told) == 1 and int(told.pop().split()[0]) > 100
