@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -106,9 +107,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(command, Evaluate):
             evaluate(command)
             return EXIT_DONE
-        print("\n".join(tracker_names()))
+        print("\n".join(tracker_names()), flush=True)
         return EXIT_DONE
     except KeyboardInterrupt:
+        return EXIT_DONE
+    except BrokenPipeError:  # whoever read the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
     except StationError as error:
         return _failed(error, console)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +22,15 @@ if TYPE_CHECKING:
     from base_station.trackers.ztransform.landmark import Landmark
 
 
+COMPILED = ("ztransform", "z-shift", "z-regions", "slam")
+"""Trackers with kernels of their own, which a fresh clone has yet to compile."""
+COMPILING_S = 300.0
+COMPILE = (
+    "import sys; from pathlib import Path; from base_station.kits import KitMaker; "
+    "KitMaker(memory=Path(sys.argv[1]))(sys.argv[2]).tracker.close()"
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class KitMaker:
     """Call it with a name that `make_tracker` knows, or with `landmark:NAME`. Raises ValueError, StationError.
@@ -32,6 +44,22 @@ class KitMaker:
     learned_distance_m: float | None = None
     trackers: Callable[[str], Tracker] = make_tracker
     """What makes a tracker of a name that is no landmark's."""
+
+    def beside_a_run(self, name: str) -> Kit:
+        """The same, for a loop that must go on: kernels are compiled in another process first. Here, that would hold
+        the loop up for a minute as soon as it needed a kernel as well."""
+        if name.startswith(LANDMARK) or name in COMPILED:
+            child = subprocess.Popen(
+                [sys.executable, "-c", COMPILE, str(self.memory), name],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            atexit.register(child.kill)
+            try:
+                child.wait(COMPILING_S)  # how it ends does not matter: what is wrong shows below
+            except subprocess.TimeoutExpired:
+                child.kill()
+            atexit.unregister(child.kill)
+        return self(name)
 
     def __call__(self, name: str) -> Kit:
         if name.startswith(LANDMARK):

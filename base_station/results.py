@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import logging
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
 
 from base_station.errors import StationError
 from base_station.station import Step
+
+log = logging.getLogger(__name__)
 
 COLUMNS = (
     "frame", "time_s", "state", "reason", "x", "y", "width", "height",
@@ -20,15 +25,19 @@ COLUMNS = (
 
 
 class ResultsFile:
-    """Opened at once, so that a path that cannot be written is known before the robot moves. Raises StationError."""
+    """Opened at once, so that a path that cannot be written is known before the robot moves. Raises StationError.
+
+    A disk that is full later ends the file, with a word, and not the run.
+    """
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file: TextIO = path.open("w", newline="", encoding="utf-8")
+            self._file: TextIO | None = path.open("w", newline="", encoding="utf-8")
         except OSError as error:
             raise StationError(f"{path} cannot be written ({error.strerror}).", usage=True) from error
+        self._path = path
         self._writer = csv.writer(self._file)
-        self._writer.writerow(COLUMNS)
+        self._put(COLUMNS)
 
     def write(self, step: Step) -> None:
         """One row; what the tracker could not tell stays empty."""
@@ -41,7 +50,7 @@ class ResultsFile:
             if shadow is not None
             else ("",) * 4
         )
-        self._writer.writerow(
+        self._put(
             [
                 step.frame.number,
                 f"{step.frame.time_s:.6f}",
@@ -59,7 +68,27 @@ class ResultsFile:
         )
 
     def close(self) -> None:
-        self._file.close()
+        """Write what is not written yet."""
+        try:
+            if self._file is not None:
+                self._file.close()
+        except OSError as error:
+            self._give_up(error)
+        self._file = None
+
+    def _put(self, cells: Sequence[object]) -> None:
+        try:
+            if self._file is not None:
+                self._writer.writerow(cells)
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        log.error("%s cannot be written any more (%s): it ends here, the run goes on", self._path, error.strerror)
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+        self._file = None
 
 
 def _degrees(angle_rad: float | None) -> float | None:

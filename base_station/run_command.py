@@ -7,6 +7,7 @@ import functools
 import json
 import logging
 import math
+import os
 import queue
 import signal
 import traceback
@@ -159,6 +160,8 @@ def _check(run: Run) -> None:
             raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
         if path is not None and path.is_dir():
             raise StationError(f"{name}: {path} is a folder; name a file.", usage=True)
+        if path is not None and not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise StationError(f"{name}: {path} cannot be written.", usage=True)
     if run.record_raw and run.record is None:
         raise StationError("--record-raw goes with --record FILE.mcap.", usage=True)
 
@@ -310,7 +313,7 @@ def _station(
             settings,
             shadow=shadow,
             keys=driving,
-            make=make,
+            make=make.beside_a_run,
             remember=shelf.remember,
             on_step=on_step,
             on_wait=on_wait,

@@ -11,7 +11,7 @@ import logging
 import queue
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome, Steered
@@ -26,6 +26,7 @@ from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 from base_station.watcher import Kit, Watcher
+from base_station.workshop import Workshop
 from protocol import STOP, Command, ProtocolError, Request, RobotLimits
 
 log = logging.getLogger(__name__)
@@ -34,6 +35,8 @@ WAIT_S = 0.1
 SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
 """What the lights are told (one of the protocol's SIGHTS)."""
 PATIENCE_S = 10.0
+CLOSING_S = 3.0
+"""So long it takes at the most to let go of the trackers; what is not closed then ends with the program."""
 LOCKSTEP_LOOK_S = 0.5
 """In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
 NO_PAN_TILT = (
@@ -108,8 +111,7 @@ class Station:
     ) -> None:
         self._link = link
         self.settings = settings or StationSettings()
-        self._workshop = ThreadPoolExecutor(max_workers=1, thread_name_prefix="workshop")
-        """Makes and closes trackers beside the loop: one that maps takes seconds for either."""
+        self._workshop: Workshop[Kit | None] = Workshop()
         self._watcher = Watcher(kit, shadow=shadow, target_rows=self.settings.target_rows, retire=self._retire)
         self._keys = keys or queue.SimpleQueue()
         self._make, self._remember = make, remember
@@ -193,12 +195,17 @@ class Station:
             self._let_go_of_head()
 
     def close(self) -> None:
-        """Close the trackers, also those still in the making. After `run`."""
+        """Close the trackers, also one that is still in the making, if that does not take too long. After `run`."""
         for _, work in self._works:
-            if not work.cancel() and work.exception() is None and (kit := work.result()) is not None:
-                self._retire(kit.tracker)
+            if not work.cancel():
+                work.add_done_callback(self._unwanted)
         self._watcher.close()
-        self._workshop.shutdown()
+        self._workshop.close(CLOSING_S)
+
+    def _unwanted(self, work: Future[Kit | None]) -> None:
+        """Made, but too late."""
+        if work.exception() is None and (kit := work.result()) is not None:
+            _close(kit.tracker)
 
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
@@ -293,6 +300,7 @@ class Station:
             return False
         make = self._make
         self._work(order, lambda: make(order.name))
+        self._notice(f"{order.name} is being made", logging.INFO)
         return False
 
     def _work(self, order: Order, task: Callable[[], Kit | None]) -> None:
@@ -311,7 +319,7 @@ class Station:
             self._notice(f"cannot {order.kind} {order.name}: {error}")
             return False
         if kit is None:
-            self._notice(f"{order.name} is remembered")
+            self._notice(f"{order.name} is remembered", logging.INFO)
             return False
         if order.kind == "tracker":
             self._watcher.exchange(kit)
@@ -325,11 +333,11 @@ class Station:
         self._remember(name, frame, target)
 
     def _retire(self, tracker: Tracker) -> None:
-        self._workshop.submit(_close, tracker)
+        self._workshop.submit(lambda: _close(tracker))
 
-    def _notice(self, text: str) -> None:
+    def _notice(self, text: str, level: int = logging.WARNING) -> None:
         self._notices.append(text)
-        log.warning("%s", text)
+        log.log(level, "%s", text)
 
     def _complain(self) -> None:
         """Say once why a target cannot be learned."""

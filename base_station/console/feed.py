@@ -12,7 +12,7 @@ import struct
 import threading
 import time
 from collections import deque
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -26,6 +26,8 @@ from protocol.records import from_bytes
 JPEG_QUALITY = 82
 LOOKED_AT_S = 2.0
 """After the last page asked for a picture, so long more are encoded."""
+SILENT_S = 1.5
+"""A station tells its state ten times a second."""
 HISTORY_S, HISTORY_PERIOD_S = 60.0, 0.2
 EMERGENCY = "emergency stop"
 """How the reason of a robot that is latched begins."""
@@ -46,7 +48,8 @@ class Feed:
     """`start` it; the rest may be read from any thread, `picture` from the event loop."""
 
     def __init__(self, addresses: Addresses) -> None:
-        self.state: State | None = None
+        self._state: State | None = None
+        self._state_s = float("-inf")
         self.map: Map | None = None
         self.map_number = 0
         """Counts the maps that came."""
@@ -73,6 +76,15 @@ class Feed:
         """Say that the station has ended, and wake who waits."""
         self.ended = True
         self._announce()
+
+    @property
+    def state(self) -> State | None:
+        """How the station stands, as it last said; one that has fallen silent is not known to stand well."""
+        silent_s = time.monotonic() - self._state_s
+        if self._state is None or silent_s < SILENT_S or self.ended:
+            return self._state
+        link = f"no news from the station for {silent_s:.0f} s"
+        return replace(self._state, link=link, connected=False, telemetry=None, seen=None, shadow=None)
 
     async def picture(self, after: int, patience_s: float) -> bytes:
         """A packet (see `packet`) with a picture numbered above `after`, as soon as there is one; without a picture
@@ -115,8 +127,8 @@ class Feed:
     def _take_state(self, message: bytes) -> None:
         kind, body = message[:1], message[1:]
         if kind == STATE:
-            self.state = from_bytes(State, body)
-            self._sample(self.state)
+            self._state, self._state_s = from_bytes(State, body), time.monotonic()
+            self._sample(self._state)
         elif kind == MAP:
             self.map = from_bytes(Map, body)
             self.map_number += 1

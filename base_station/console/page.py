@@ -51,10 +51,10 @@ def _build(ui: Any, feed: Feed, lines: Lines) -> None:
         with ui.element("div").classes("left"):
             controls.stage()
             signature, scene = SignaturePlot(ui), Scene(ui, feed)
+            controls.landmarks()
         with ui.element("div").classes("right"):
             controls.choices()
             gauges, history = Gauges(ui), HistoryPlot(ui, feed)
-            controls.landmarks()
     parts = (top, controls, gauges, history, signature, scene)
 
     def refresh() -> None:

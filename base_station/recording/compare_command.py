@@ -133,6 +133,8 @@ def _run(
         series.add(*at, step.result, seconds=step.tracker_s, learned=step.learned)
         if recorded is not None and earlier is not None and replayed.shown.comparable:
             recorded.add(*at, earlier.result, seconds=earlier.tracker_s, learned=earlier.learned)
+        for text in step.notices:
+            progress.console.print(f"base-station: {short_name(name)}: {text}", markup=False, soft_wrap=True)
         progress.advance(task)
     return series
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from base_station.errors import StationError
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.recording import topics
 from base_station.recording.foxglove_file import NS_PER_S, WORLD_FRAME, FoxgloveFile, Stamp
@@ -77,6 +78,8 @@ class Recorder:
         hello: Callable[[], Hello | None] = lambda: None,
         driven: Callable[[Frame], FlatPose | None] = lambda frame: None,
     ) -> None:
+        if path.suffix != ".mcap":
+            raise StationError(f"{path}: call a recording NAME.mcap, or nothing opens it.", usage=True)
         self.path = path
         self.frames_without_picture = 0
         """Of the frames recorded, those whose picture was left out because the disk was slow."""

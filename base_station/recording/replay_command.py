@@ -120,11 +120,13 @@ def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, r
             shadowing.note(replayed, shadow=True)
             for observer in watching:
                 observer(replayed.step)
+            for text in replayed.step.notices:
+                _say(console, text)
             if len(steering.now.places) == command.max_frames:
                 break
     known = source.known()
     for note in known.notes:
-        console.print(f"base-station: {note}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+        _say(console, note)
     told = [
         figures(series, known.truth, "truth")
         for series in (steering.now, shadowing.now)
@@ -139,6 +141,10 @@ def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, r
         plot_series(command.picture, source.name, shown, known.truth)
     if command.same and not (against[0] is not None and all(one is None or one.identical for one in against)):
         raise StationError(f"The results are not those that were recorded{_why(source)}.")
+
+
+def _say(console: Console, text: str) -> None:
+    console.print(f"base-station: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
 
 
 def _check(command: Replay) -> float | None:

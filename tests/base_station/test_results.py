@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,3 +121,13 @@ def test_the_table_at_the_end_leaves_out_what_does_not_apply():
     assert "LOST" not in text
     assert "None" not in text
     assert "collisions" not in text
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has a device that is always full")
+def test_a_full_disk_ends_the_file_and_not_the_run(caplog):
+    rows = ResultsFile(Path("/dev/full"))
+    for number in range(2000):  # more than is kept before it is written
+        rows.write(step(number, TrackerResult(state=TrackingState.LOST, reason="x" * 80), Command(0, 0)))
+    rows.close()
+    said = [record.message for record in caplog.records]
+    assert len(said) == 1 and "/dev/full" in said[0] and "No space left" in said[0]

@@ -2,6 +2,7 @@
 
 import { isTyping, order, toast } from "./orders.js";
 
+const HINT = matchMedia("(hover: none)").matches ? "emergency stop" : "emergency stop · space bar";
 const TRIES = 3;
 const WORTH_ANOTHER = /cannot be reached|does not answer|did not confirm/;
 export const timings = []; // of the last stops: ms from the press to the robot's confirmation
@@ -34,7 +35,7 @@ export function show(status) {
   bar().classList.toggle("latched", latched);
   document.getElementById("release").hidden = !latched;
   document.getElementById("stop-title").textContent = latched ? "STOPPED" : "STOP";
-  document.getElementById("stop-hint").textContent = latched ? status.reason : "emergency stop · space bar";
+  document.getElementById("stop-hint").textContent = latched ? status.reason : HINT;
 }
 
 export function begin() {

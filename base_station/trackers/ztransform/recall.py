@@ -6,6 +6,9 @@ landmark's small picture, goes on from where it was found. When that one has los
 
 from __future__ import annotations
 
+import contextlib
+
+from base_station.geometry import PinholeCamera
 from base_station.trackers.base import Shown
 from base_station.trackers.ztransform.landmark import Landmark
 from base_station.trackers.ztransform.lookup import LandmarkMemory
@@ -23,9 +26,17 @@ class RecallTracker:
         self._landmark = landmark
         self._memory = LandmarkMemory()
         self._memory.add(landmark)
+        self._warm_up()
         self._tracker = ZTransformTracker()
         self._learned = False
         self._seen_s: float | None = None
+
+    def _warm_up(self) -> None:
+        """Compile (or load) the look-up's kernels now, so that the first frames are not late."""
+        with contextlib.suppress(ValueError):
+            shown, _ = self._landmark.frame(PinholeCamera.with_fov(640, 480))
+            shown.image.flags.writeable = False  # as a robot's pictures are: another type to compiled code
+            self._memory.find(shown)
 
     def learn(self, frame: Frame, target: Box | None) -> None:
         """See `base.Tracker.learn`; the target is not needed. Raises ValueError when this camera makes it too small."""

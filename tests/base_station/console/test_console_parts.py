@@ -12,7 +12,7 @@ import sys
 import numpy as np
 import pytest
 
-from base_station.console.feed import Sample, packet, status_of
+from base_station.console.feed import SILENT_S, Feed, Sample, packet, status_of
 from base_station.console.gate import Gate
 from base_station.console.gauges import BATTERY, DELAY, FACTS, LOOP, facts
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings, address_text, is_loopback, listen
@@ -22,7 +22,7 @@ from base_station.console.routes import LARGEST_ORDER_BYTES, read_order
 from base_station.console.scene import EXTENT, fitted, rows_of, to_scene
 from base_station.errors import StationError
 from base_station.orders import Order
-from base_station.publication.schema import Head, Seen, State, Wish
+from base_station.publication.schema import STATE, Addresses, Head, Seen, State, Wish, encode
 from protocol import Telemetry
 from tests.helpers import ROOT
 
@@ -237,3 +237,17 @@ def test_the_map_is_turned_upright_and_fitted():
     none = np.empty((0, 3))
     assert fitted(none, none)[1] == 1.0 and fitted(np.ones((3, 3)), none)[1] == 1.0
     assert rows_of(np.arange(7, dtype="<f4").tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_a_station_that_has_fallen_silent_is_not_shown_to_stand_well(tmp_path, monkeypatch):
+    """A loop that hangs publishes nothing: what was true a minute ago must not stay green."""
+    feed, clock = Feed(Addresses(tmp_path)), [100.0]
+    monkeypatch.setattr("base_station.console.feed.time.monotonic", lambda: clock[0])
+    telling = State(link="connected", connected=True, seen=Seen(state="TRACKING", reason=""), behaviour="follow")
+    feed._take_state(STATE + encode(telling))
+    assert feed.state == telling and feed.status()["connected"]
+    clock[0] += SILENT_S + 10
+    assert feed.state is not None and (feed.state.seen, feed.state.telemetry) == (None, None)
+    assert not feed.status()["connected"] and "no news" in feed.status()["link"]
+    feed._take_state(STATE + encode(telling))
+    assert feed.state == telling
