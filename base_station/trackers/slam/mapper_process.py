@@ -24,7 +24,6 @@ from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMa
 from base_station.trackers.slam.rehearsal import rehearse_mapping
 from base_station.trackers.slam.settings import SlamSettings
 
-END_WITHIN_S = 3.0
 LOOK_EVERY_S = 0.5
 READY_WITHIN_S = 90
 READY_LOOKS = int(READY_WITHIN_S / LOOK_EVERY_S)
@@ -154,10 +153,7 @@ class MapperProcess:
             return
         if self.alive():
             self._process.terminate()  # what it is at concerns a map that nobody wants any more
-            self._process.join(END_WITHIN_S)
-            if self._process.is_alive():
-                self._process.kill()
-                self._process.join()
+            self._process.join()
         self._closed = True
         for channel in (self._work, self._updates):
             channel.close()
@@ -165,7 +161,6 @@ class MapperProcess:
 
 
 def _run(camera: SlamCamera, settings: SlamSettings, work: Any, updates: Any, parent: int) -> None:
-    signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
     threadpool_limits(1)  # for systems of some hundred unknowns a pool of threads only spins, on the tracker's core
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 
 import numpy as np
 import pytest
@@ -167,7 +168,7 @@ def test_with_the_mapper_in_a_process_of_its_own_which_ends():
         slam.close()
         slam.close()
     assert not mapper.is_alive()
-    assert mapper.exitcode == 0
+    assert mapper.exitcode == -signal.SIGTERM
 
 
 def test_a_mapper_that_dies_ends_neither_tracking_nor_the_end():
