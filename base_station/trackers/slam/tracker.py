@@ -127,6 +127,8 @@ class SlamTracker(PatchTracker):
             return self._with_compass(frame, result, result.bearing_rad if ahead else None)
         confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
         result = result_of(self._target, slam.map, pose, learned, frame.camera, confidence)
+        if self._learned_row == NONE:  # its twin would be seen from the other side; which it is, moving will tell
+            result = replace(result, view_angle_rad=None)
         return self._with_compass(frame, result, heading_of(self._target, slam.map, pose))
 
     def _with_compass(self, frame: Frame, result: TrackerResult, heading_rad: float | None) -> TrackerResult:
