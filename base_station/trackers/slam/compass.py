@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 from base_station.trackers.ztransform.regression import RegressionSettings
 from base_station.trackers.ztransform.rigid import RigidSettings
-from base_station.trackers.ztransform.tracker import ZTransformSettings, ZTransformTracker
+from base_station.trackers.ztransform.settings import ZTransformSettings
+from base_station.trackers.ztransform.tracker import ZTransformTracker
 from base_station.types import Frame, TrackerResult, TrackingState
 
 

@@ -8,7 +8,7 @@ what probably happened, and a search of every further frame.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,79 +16,17 @@ from base_station.geometry import PinholeCamera
 from base_station.trackers.base import Shown
 from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
 from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
-from base_station.trackers.ztransform.loose import LooseFollower, LooseSettings
+from base_station.trackers.ztransform.loose import LooseFollower
 from base_station.trackers.ztransform.motion import Motion
-from base_station.trackers.ztransform.outline import left_side, lens_of, outline, place_placement, to_pixel
+from base_station.trackers.ztransform.outline import lens_of, outline, place_placement, to_pixel
 from base_station.trackers.ztransform.pyramid import Pyramid
+from base_station.trackers.ztransform.reasons import check_box, pixel_texture, why_lost
 from base_station.trackers.ztransform.regression import RegressionSettings
-from base_station.trackers.ztransform.rigid import Look, RigidFollower, RigidSettings
+from base_station.trackers.ztransform.rigid import Look, RigidFollower
+from base_station.trackers.ztransform.settings import ZTransformSettings
 from base_station.trackers.ztransform.texture import texture_of
 from base_station.trackers.ztransform.viewing import view_angle_rad
 from base_station.types import Box, Frame, TrackerResult, TrackingState
-
-
-@dataclass(frozen=True, kw_only=True)
-class ZTransformSettings:
-    """When to believe, and the settings of the stages."""
-
-    keep_confidence: float = 0.35
-    """While tracking, a resemblance below this is not the target, however slowly it came to look so."""
-    regain_confidence: float = 0.65
-    """After it was lost, a resemblance below this is not the target yet."""
-    keep_of_usual: float = 0.6
-    """While tracking, a resemblance below this share of the usual is not the target: what vanishes does so suddenly."""
-    linger_s: float = 0.5
-    """After a loss, for so long it is also looked for where it was, on the terms of tracking."""
-    surprise: float = 0.12
-    """A resemblance by this much below the usual is looked into: perhaps the true place is another."""
-    least_share: float = 0.35
-    """Of the target that must lie in the frame."""
-    least_texture: float = 1.5
-    """Grey levels; a view with less is featureless."""
-    above_noise: float = 1.4
-    """To be learned, texture must exceed what the pixels' noise alone gives so many times. Walls with noise reached
-    1.32; the least of 26 filmed or made-up targets had 1.78, of 270 cuts out of photographs with anything in them
-    1.58."""
-    smallest_side_px: float = 10.0
-    """Of the target, to be learned or tracked."""
-    largest_share: float = 3.0
-    """Of the frame's width; a target that looks wider than that is too near."""
-    firm: float = 0.8
-    """A resemblance from which on the signature alone decides. Below, the target may have changed its shape."""
-    uncovered: float = 0.85
-    """Of the target that must look as it was learned, or the loose follower does not learn from it."""
-    firm_aspects: tuple[float, float] = (0.8, 1.15)
-    """Width against height, both against the learned ones, of a target that is seen firm before it is proven. Turning
-    makes it narrower; what makes it wider, or that narrow so early, is a loose target that pulls the signature."""
-    needs_no_second: float = 0.8
-    """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
-    near: float = 0.3
-    """In sides of the target: few move further from one frame to the next."""
-    far_sharpness: float = 7.5
-    """What an answer elsewhere, or to a search, must have to be the loose target's..."""
-    again_sharpness: float = 6.5
-    """... or else one in the frame after it, near to it."""
-    hold_sharpness: float = 5.0
-    """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
-    proven_frames: int = 60
-    """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
-    reconsider_s: float = 1.0
-    """After so long without a firm look, a proven target is taken for a loose one all the same, if that one is seen."""
-    loose_every: int = 30
-    """While a proven target is seen firm, the loose follower learns from every so many frames only..."""
-    loose_times: int = 7
-    """... and then as much as from so many."""
-    rigid_every: int = 5
-    """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
-    search_every: int = 4
-    """While a proven target looks as usual, though not firm, it is searched for in every so many frames only."""
-    hold_share: float = 0.8
-    """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
-    rigid: RigidSettings = field(default_factory=RigidSettings)
-    """Following what keeps its shape."""
-    loose: LooseSettings = field(default_factory=LooseSettings)
-    """Following what does not."""
-
 
 USUAL_RATE = 0.05
 """Of the running mean of confidences, per frame."""
@@ -130,13 +68,13 @@ class ZTransformTracker:
         if target is None:
             placement = place_placement(frame.camera)
         else:
-            self._check(target, frame.image.shape)
+            check_box(target, frame.image.shape, self._settings)
             x, y = target.center_px
             placement = np.array([x, y, target.width, target.height, 0.0])
         patch, share = self._rigid.read(pyramid, placement, lens)
         if share < settings.least_share:
             raise ValueError(f"only {share:.0%} of the box is inside of the frame")
-        texture = min(texture_of(patch, 1), self._pixel_texture(frame, target))
+        texture = min(texture_of(patch, 1), pixel_texture(frame, target, self._settings))
         if texture < settings.least_texture:
             raise ValueError(f"featureless: the target's texture is {texture:.1f} grey levels above the noise")
         self._learned = _Learned(placement, frame.shape, frame.camera.cy, target is None)
@@ -171,7 +109,8 @@ class ZTransformTracker:
             return self._tracked(frame, look, lens)
         self._is_tracking = False
         self._frames_lost += 1
-        return _lost(self._why(frame, look), look.confidence)
+        ahead = self._motion.predict(frame.time_s)
+        return _lost(why_lost(frame, ahead, look.confidence, self._settings), look.confidence)
 
     def wanted_rows(self) -> tuple[int, int] | None:
         """See `base.WantsRows`. All, unless the target is proven rigid and seen firm: searching needs the whole frame,
@@ -369,41 +308,6 @@ class ZTransformTracker:
             confidence=min(max(look.confidence, 0.0), 1.0),
             box=outline(p, lens),
         )
-
-    def _why(self, frame: Frame, look: Look) -> str:
-        """What probably happened, in words."""
-        settings, (rows, columns) = self._settings, frame.shape
-        texture = texture_of(frame.image, max(1, min(columns // 32, frame.image.shape[0] // 3)))
-        if texture < settings.least_texture:
-            return f"featureless: the view's texture is {texture:.1f} grey levels"
-        ahead = self._motion.predict(frame.time_s)
-        side = left_side(ahead, columns, rows)
-        if side:
-            return f"the target left the frame at the {side}"
-        if min(ahead[WIDTH], ahead[HEIGHT]) < settings.smallest_side_px * 1.1:
-            return f"too small: {ahead[WIDTH]:.0f}x{ahead[HEIGHT]:.0f} px"
-        if ahead[WIDTH] > 0.9 * settings.largest_share * columns:
-            return f"too large: {ahead[WIDTH]:.0f} px wide"
-        return f"the target is hidden or gone (confidence {max(look.confidence, 0.0):.2f})"
-
-    def _pixel_texture(self, frame: Frame, target: Box | None) -> float:
-        """Texture of the frame's own pixels, 0 if it is but their noise: a patch of a plain wall has that too."""
-        rows, columns = frame.image.shape
-        inside = (target or Box(0, 0, columns, rows)).clipped(columns, rows)
-        if inside is None or min(inside.width, inside.height) < 8:
-            return math.inf  # too few pixels to tell
-        top, left = int(inside.y), int(inside.x)
-        pixels = frame.image[top : top + math.ceil(inside.height), left : left + math.ceil(inside.width)]
-        block = min(max(min(pixels.shape) // 16, 2), 20)
-        return texture_of(pixels, block, noise_factor=self._settings.above_noise)
-
-    def _check(self, target: Box, shape: tuple[int, int]) -> None:
-        rows, columns = shape
-        if target.clipped(columns, rows) is None:
-            raise ValueError("the box is outside of the frame")
-        smallest = self._settings.smallest_side_px
-        if min(target.width, target.height) < smallest:
-            raise ValueError(f"the target is too small: {target.width:.0f}x{target.height:.0f} px")
 
     def _warm_up(self) -> None:
         """Compile (or load) the kernels now, on small made-up pictures, so that the first frames are not late: of the
