@@ -11,6 +11,7 @@ from tests.helpers import Programs
 
 pytest.importorskip("pycolmap")
 pytest.importorskip("gtsam")
+pytestmark = pytest.mark.alone  # the mapper needs the second core
 
 
 def drive(programs: Programs, port: int, folder: Path, scenario: str, seconds: int, *options: str) -> dict:

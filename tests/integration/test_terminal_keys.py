@@ -14,6 +14,8 @@ import pytest
 
 from tests.helpers import Program, Programs, TelemetryLog, driving
 
+pytestmark = pytest.mark.alone  # a key counts for a moment only
+
 
 class Terminal:
     """A pseudo terminal: `type` is the keyboard, `user_end` is what a program gets as its standard input."""

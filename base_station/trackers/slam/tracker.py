@@ -120,6 +120,7 @@ class SlamTracker(PatchTracker):
         pose = self._pose = seen.cam_from_world
         self._frames += 1
         if pose is not None:
+            self._leave_other_map(slam)
             self._place(slam)
         if pose is None or self._target is None:
             result = super().update(frame)
@@ -128,7 +129,7 @@ class SlamTracker(PatchTracker):
         confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
         result = result_of(self._target, slam.map, pose, learned, frame.camera, confidence)
         if self._learned_row == NONE:  # its twin would be seen from the other side; which it is, moving will tell
-            result = replace(result, view_angle_rad=None)
+            return replace(result, view_angle_rad=None, compass_rad=self._compass.update(frame))
         return self._with_compass(frame, result, heading_of(self._target, slam.map, pose))
 
     def _with_compass(self, frame: Frame, result: TrackerResult, heading_rad: float | None) -> TrackerResult:
@@ -158,10 +159,6 @@ class SlamTracker(PatchTracker):
             self._target = target or self._target
             self._check(slam, row)
             return
-        if self._target is not None:
-            keyframe = world.living(self._target.keyframe)
-            if not world.alive[keyframe] or world.component[keyframe] != slam.component:
-                self._target, self._learned_row = None, NONE
         if self._learned_row != NONE:
             return
         placed = place_in_map(world, self._features, self._in_box, picture, self._camera)
@@ -170,6 +167,14 @@ class SlamTracker(PatchTracker):
         self._target = self._target_at(world, slam.reference, placed) or self._target
         if self._target is not None and placed.sure:
             self._learned_row = slam.insert(self._learned_s, self._features, placed.point_of, placed.cam_from_world)
+
+    def _leave_other_map(self, slam: SlamSystem) -> None:
+        """A pose in one map says nothing of a target in another: the target must be placed anew."""
+        if self._target is None:
+            return
+        keyframe = slam.map.living(self._target.keyframe)
+        if not slam.map.alive[keyframe] or slam.map.component[keyframe] != slam.component:
+            self._target, self._learned_row = None, NONE
 
     def _check(self, slam: SlamSystem, row: int) -> None:
         """A map that grows may come to know better where the learned picture was taken than its keyframe does."""
