@@ -238,6 +238,8 @@ def test_the_space_bar_stops_but_not_while_typing(stage: Stage) -> None:
 
 
 def test_trackers_are_exchanged(stage: Stage) -> None:
+    stage.behave("follow")  # wherever the pattern was stopped, the target is to be well in view
+    stage.log.wait_for(lambda m: abs(bearing_deg(m)) < 3, since_s=stage.now_s(), what="a target straight ahead")
     stage.behave("idle")
     stage.choose(stage.page, "Tracker", "klt")
     stage.choose(stage.page, "Shadow", "phase")
