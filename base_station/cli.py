@@ -82,32 +82,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except StationError as error:
         return _failed(error, console)
     try:
-        if isinstance(command, Run):
-            run(command, console)
-            return EXIT_DONE
-        if isinstance(command, Replay):
-            _replay(command, console)
-            return EXIT_DONE
-        if isinstance(command, Compare):
-            compare(command, console)
-            return EXIT_DONE
-        if isinstance(command, Export):
-            export(command, console)
-            return EXIT_DONE
-        if isinstance(command, Score):
-            return _score(command)
-        if isinstance(command, Landmarks):
-            landmarks(command)
-            return EXIT_DONE
-        if isinstance(command, Calibrate):
-            calibrate_camera(command, console)
-            return EXIT_DONE
-        if isinstance(command, Robots):
-            return _robots(command)
-        if isinstance(command, Evaluate):
-            evaluate(command)
-            return EXIT_DONE
-        print("\n".join(tracker_names()), flush=True)
+        match command:
+            case Run():
+                run(command, console)
+            case Replay():
+                _replay(command, console)
+            case Compare():
+                compare(command, console)
+            case Export():
+                export(command, console)
+            case Score():
+                _score(command)
+            case Landmarks():
+                landmarks(command)
+            case Calibrate():
+                calibrate_camera(command, console)
+            case Robots():
+                _robots(command)
+            case Evaluate():
+                evaluate(command)
+            case Trackers():
+                print("\n".join(tracker_names()), flush=True)
         return EXIT_DONE
     except KeyboardInterrupt:
         return EXIT_DONE
@@ -138,7 +133,7 @@ def _replay(command: Replay, console: Console) -> None:
     replay_run(command, console, watching_console(settings, say))
 
 
-def _score(command: Score) -> int:
+def _score(command: Score) -> None:
     found, truth = read_results(command.results), read_truth(command.truth)
     frames = min(len(found), len(truth))
     if frames == 0:
@@ -146,10 +141,9 @@ def _score(command: Score) -> int:
     if len(found) != len(truth):
         print(f"comparing the first {frames} frames ({len(found)} results, {len(truth)} true boxes)", file=sys.stderr)
     print(json.dumps(dataclasses.asdict(score_boxes(found[:frames], truth[:frames])), indent=2))
-    return EXIT_DONE
 
 
-def _robots(command: Robots) -> int:
+def _robots(command: Robots) -> None:
     if not 0.1 <= command.seconds <= 60:
         raise StationError(f"--seconds must be 0.1..60, not {command.seconds:g}.", usage=True)
     found = find_robots(command.seconds)
@@ -165,4 +159,3 @@ def _robots(command: Robots) -> int:
     for row in rows:
         print("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
     print(f"\nbase-station run --host {found[0].address} --port {found[0].port}", file=sys.stderr)
-    return EXIT_DONE
