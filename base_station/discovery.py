@@ -24,6 +24,7 @@ MAX_ROBOTS = 64
 MAX_ADDRESSES = 8
 MAX_TEXT = 60
 HELLO_S = 1.0
+LOOK_UP_MS = 1500
 LAST_FRAME_PORT = 65532
 
 
@@ -114,7 +115,9 @@ def find_robots(seconds: float, sleep: Callable[[float], None] = time.sleep) -> 
 
 
 def _look_up(listener: Any, name: str) -> FoundRobot | None:
-    info = listener.get_service_info(SERVICE_TYPE, name, timeout=500)
+    """What a robot told of itself came with its name, as a rule; one that did not tell may answer a second later at the
+    earliest, since multicast records go out once a second (RFC 6762, section 6)."""
+    info = listener.get_service_info(SERVICE_TYPE, name, timeout=LOOK_UP_MS)
     return None if info is None else robot_from(name, info.parsed_addresses(), info.port, info.properties)
 
 

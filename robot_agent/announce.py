@@ -7,11 +7,13 @@ Optional: without the zeroconf package (Debian: python3-zeroconf) the agent does
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import ipaddress
 import logging
 import secrets
 import socket
 import threading
+import uuid
 from typing import Any
 
 from protocol import PROTOCOL_VERSION, SERVICE_TYPE
@@ -47,7 +49,7 @@ class Announcement:
         try:
             info = zeroconf.ServiceInfo(
                 SERVICE_TYPE,
-                f"{_name()}.{SERVICE_TYPE}",
+                f"{instance_name(socket.gethostname(), uuid.getnode(), port)}.{SERVICE_TYPE}",
                 addresses=[socket.inet_aton(address) for address in addresses],
                 port=port,
                 server=f"zservo-{secrets.token_hex(4)}.local.",  # whose addresses these are: no other agent's
@@ -104,7 +106,12 @@ def _addresses(host: str) -> list[str]:
     return [address for address in found if not ipaddress.ip_address(address).is_loopback]
 
 
-def _name() -> str:
-    """This machine's name as one DNS label."""
-    label = "".join(c if c.isalnum() or c == "-" else "-" for c in socket.gethostname().partition(".")[0])
-    return label.encode()[:MAX_NAME_BYTES].decode(errors="ignore") or "robot"
+def instance_name(hostname: str, hardware_address: int, port: int) -> str:
+    """A machine's name as one DNS label, and four digits that tell this agent from others with that name.
+
+    Probing for a name that is taken (RFC 6762, section 8) does not help robots made from one SD card and switched on
+    together: each finds the name free, and stations see one robot. A machine and a port keep their digits.
+    """
+    label = "".join(c if c.isalnum() or c == "-" else "-" for c in hostname.partition(".")[0])
+    digits = hashlib.sha256(f"{hardware_address:x} {port}".encode()).hexdigest()[:4]
+    return f"{label.encode()[:MAX_NAME_BYTES].decode(errors='ignore') or 'robot'}-{digits}"

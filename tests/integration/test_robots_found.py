@@ -47,7 +47,7 @@ def test_robots_are_found_told_apart_and_gone_when_they_end(programs: Programs, 
         listing = robots(programs)
         assert listing.exit_code() == 0
     rows = {int(line.split()[2]): line for line in listing.stdout.splitlines()[1:] if line}
-    assert set(ports) <= set(rows)
+    assert set(ports) <= set(rows), listing.stdout
     assert "busy with 127.0.0.1:" in rows[ports[0]]
     assert rows[ports[1]].endswith("free")
     assert all("127.0.0.1" in rows[port] and "ReplayCamera" in rows[port] for port in ports)
