@@ -52,7 +52,7 @@ class Frame:
         return self.image[max(first - self.first_row, 0) : max(past_last - self.first_row, 0)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Box:
     """An upright rectangle of pixels: column and row of its first pixel, its size. May stick out of the frame.
 
@@ -104,7 +104,7 @@ class TrackingState(Enum):
     LOST = "LOST"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class TrackerResult:
     """What a tracker says about one frame. Measurements are there in state TRACKING only: never a stale value.
 

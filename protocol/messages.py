@@ -181,7 +181,7 @@ class FrameStamp:
     """First and past-last row of the camera's picture that it shows; None: those that hello names."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Truth:
     """Simulation only: where things really are when the stamped frame was taken. For summaries, never for control.
 

@@ -9,7 +9,8 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ FINAL_S = 1.0
 SETTLED_DISTANCE_M, SETTLED_BEARING_DEG = 0.01, 0.5
 SET_DOWN_M = 0.2
 """A robot that moves further than this between two frames was carried."""
+FRAMES_BEFORE_TRUTH = 300
+"""So many frames are kept until a first truth comes; on a real robot none does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +111,7 @@ class Summary:
         return asdict(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Seen:
     """What a frame showed, and when."""
 
@@ -138,7 +141,10 @@ class _Row:
 
 
 class LoopLog:
-    """Collects steps and telemetry while a run goes on (from two threads), and sums them up."""
+    """Collects steps and telemetry while a run goes on (from two threads), and sums them up.
+
+    What is kept of a frame for its truth is kept where a simulation tells one: a real robot's station may run for days.
+    """
 
     def __init__(self, *, tracker: str, behaviour: str, shadow: str | None = None, from_memory: bool = False) -> None:
         """`from_memory`: what is followed was learned before this run, so nothing tells from where."""
@@ -147,11 +153,13 @@ class LoopLog:
         self._lock = threading.Lock()
         self._truths: dict[tuple[str, int], Truth] = {}
         self._steps: list[_Seen] = []
+        self._frames = self._tracked = self._shadow_tracked = 0
+        self._first_time_s: float | None = None
+        self._last_time_s = 0.0
         self._learned_key: tuple[str, int] | None = None
         self._learned_at = 0
-        self._tracker_s: list[float] = []
-        self._delays_s: list[float] = []
-        self._walls_s: list[float] = []
+        self._tracker_s, self._delays_s = array("d"), array("d")
+        self._first_wall_s = self._last_wall_s = 0.0
         self._frame_bytes = 0
         self._dropped: int | None = None
         self._first_telemetry: Telemetry | None = None
@@ -179,14 +187,21 @@ class LoopLog:
 
     def note_step(self, step: Step) -> None:
         """Keep what matters of a step; not its picture."""
-        if not self._walls_s:
+        now_s = time.monotonic()
+        if self._first_time_s is None:
             self._cpu_zero_s = time.process_time()
-        self._walls_s.append(time.monotonic())
+            self._first_time_s, self._first_wall_s = step.frame.time_s, now_s
+        self._last_time_s, self._last_wall_s = step.frame.time_s, now_s
+        self._frames += 1
         self._frame_bytes += step.frame.image.size
         key = (step.frame.connection, step.frame.number)
         if step.learned and self._learned_key is None:
             self._learned_key, self._learned_at = key, len(self._steps)
-        self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow, step.pan_rad))
+        if self.learned:
+            self._tracked += _is_tracking(step.result)
+            self._shadow_tracked += _is_tracking(step.shadow)
+        if self._truths or self._frames <= FRAMES_BEFORE_TRUTH:
+            self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow, step.pan_rad))
         if step.learned:
             return  # learning is no tracking, its time would hide that of the frames
         self._tracker_s.append(step.tracker_s)
@@ -209,7 +224,7 @@ class LoopLog:
     def truths(self) -> list[tuple[float, Truth]]:
         """(time in s since the first frame, truth) of the frames seen, for plots."""
         with self._lock:
-            zero_s = self._steps[0].time_s if self._steps else 0.0
+            zero_s = self._first_time_s or 0.0
             return [(seen.time_s - zero_s, self._truths[seen.key]) for seen in self._steps if seen.key in self._truths]
 
     def summary(self, *, scenario: str | None, seed: int | None, rhythm: str | None) -> Summary:
@@ -218,10 +233,9 @@ class LoopLog:
             rows = self._rows()
         learned = self._truths.get(self._learned_key) if self._learned_key and not self._from_memory else None
         first, last = self._first_telemetry, self._last_telemetry
-        times_s = [seen.time_s for seen in self._steps]
-        wall_s = self._walls_s[-1] - self._walls_s[0] if len(self._walls_s) > 1 else 0.0
-        zero_s = times_s[0] if times_s else 0.0
-        duration_s = times_s[-1] - zero_s if times_s else 0.0
+        wall_s = self._last_wall_s - self._first_wall_s
+        zero_s = self._first_time_s or 0.0
+        duration_s = self._last_time_s - zero_s
         settled = [row for row in rows if row.time_s - zero_s >= SETTLING_S]
         final = [row for row in rows if row.time_s > rows[-1].time_s - FINAL_S]
         learned_range_m = learned.range_m if learned is not None else None
@@ -233,12 +247,12 @@ class LoopLog:
             seed=seed,
             rhythm=rhythm,
             duration_s=_rounded(duration_s) or 0.0,
-            frames=len(self._steps),
-            frames_tracked=_tracked(seen.result for seen in self._since_learned()),
-            shadow_frames_tracked=_tracked(seen.shadow for seen in self._since_learned()) if self._shadow else None,
+            frames=self._frames,
+            frames_tracked=self._tracked,
+            shadow_frames_tracked=self._shadow_tracked if self._shadow else None,
             frames_dropped=self._dropped,
             frame_bytes_per_s=_rounded(self._frame_bytes / duration_s) if duration_s > 0 else None,
-            loop_hz=_rounded((len(self._walls_s) - 1) / wall_s) if wall_s > 0 else None,
+            loop_hz=_rounded((self._frames - 1) / wall_s) if wall_s > 0 else None,
             tracker_ms_p50=_quantile_ms(self._tracker_s, 50),
             frame_to_command_ms_p50=_quantile_ms(self._delays_s, 50),
             frame_to_command_ms_p95=_quantile_ms(self._delays_s, 95),
@@ -273,17 +287,15 @@ class LoopLog:
     def _rows(self) -> list[_Row]:
         if self._learned_key is None:
             return []
-        return [_Row(seen, self._truths[seen.key]) for seen in self._since_learned() if seen.key in self._truths]
-
-    def _since_learned(self) -> list[_Seen]:
-        return [] if self._learned_key is None else self._steps[self._learned_at :]
+        since_learned = self._steps[self._learned_at :]
+        return [_Row(seen, self._truths[seen.key]) for seen in since_learned if seen.key in self._truths]
 
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 6)
 
 
-def _quantile_ms(values_s: list[float], percent: float) -> float | None:
+def _quantile_ms(values_s: Sequence[float], percent: float) -> float | None:
     return _rounded(float(np.percentile(values_s, percent)) * 1e3) if values_s else None
 
 
@@ -295,8 +307,8 @@ def _mean_abs(values: list[float], scale: float | None = 1.0) -> float | None:
     return _rounded(float(np.mean(np.abs(values))) * scale) if values and scale else None
 
 
-def _tracked(results: Iterable[TrackerResult | None]) -> int:
-    return sum(result is not None and result.state is TrackingState.TRACKING for result in results)
+def _is_tracking(result: TrackerResult | None) -> bool:
+    return result is not None and result.state is TrackingState.TRACKING
 
 
 def _steering(row: _Row) -> TrackerResult | None:

@@ -45,4 +45,5 @@ def array_bytes(thing: object) -> int:
             pending += item
         else:
             pending += getattr(item, "__dict__", {}).values()
+            pending += [getattr(item, name, None) for name in getattr(type(item), "__slots__", ())]
     return total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -296,3 +297,24 @@ def test_with_a_pan_tilt_the_sum_of_pan_and_bearing_is_compared_with_the_body_s_
 
 def test_a_fixed_camera_has_no_error_of_its_own():
     assert run(10).camera_error_deg_rms is None
+
+
+def test_a_real_robots_log_does_not_grow_with_its_frames():
+    """Days without a truth: every frame is counted, and 24 bytes of times are kept of each at most."""
+    log, result = LoopLog(tracker="t", behaviour="b"), tracking()
+    for number in range(1, 1001):
+        log.note_telemetry(telemetry(number, None))
+        log.note_step(step(number, number / 30, result, learned=number == 1))
+    tracemalloc.start()
+    try:
+        for number in range(1001, 11001):
+            log.note_telemetry(telemetry(number, None))
+            log.note_step(step(number, number / 30, result))
+        grown_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert 0 < grown_bytes < 10_000 * 24
+    summary = summed(log)
+    assert (summary.frames, summary.frames_tracked) == (11_000, 11_000)
+    assert summary.duration_s == pytest.approx((11_000 - 1) / 30, abs=1e-5)
+    assert summary.tracking_share is None
