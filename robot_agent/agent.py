@@ -8,7 +8,6 @@ every command; `outlet` publishes telemetry and answers requests. What they shar
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -17,32 +16,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from protocol import (
-    FRAME_PORT,
-    PROTOCOL_VERSION,
-    SIGHTS,
-    FrameFormat,
-    FrameStamp,
-    Hello,
-    Intrinsics,
-    ProtocolError,
-    Reply,
-    Request,
-    Scenario,
-    ScenarioEvent,
-    Telemetry,
-    Truth,
-)
-from robot_agent import __version__
+from protocol import FRAME_PORT, FrameFormat, ProtocolError, Scenario, Telemetry
 from robot_agent.access import AllowList
-from robot_agent.bands import Bands
+from robot_agent.answers import Answers
 from robot_agent.cameras.base import Camera, CameraFrame
-from robot_agent.errors import AgentError, CameraError, EndOfRecording, PanTiltError, UsageError
+from robot_agent.errors import AgentError, CameraError, EndOfRecording, UsageError
 from robot_agent.outlet import Outlet
 from robot_agent.pantilt.base import PanTilt
 from robot_agent.ports import CommandReader, FrameWriter, Peer, StationPort
 from robot_agent.robots.base import Robot
 from robot_agent.safety import SafetySettings, SafetySupervisor
+from robot_agent.stamps import Stamps
 from robot_agent.wheels import Wheels
 
 log = logging.getLogger(__name__)
@@ -53,8 +37,6 @@ WAIT_S = 0.1
 """How long a thread waits before it looks whether the agent is to end."""
 FLUSH_S = 0.5
 """At the end of a recording its last picture has this long to leave."""
-ROUNDING_RAD = 1e-6
-"""A station may ask for a limit itself, rounded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,13 +79,9 @@ class Agent:
         self._settings = settings or AgentSettings()
         self._camera, self._robot, self._pan_tilt = camera, robot, pan_tilt
         self._clock, self._stepped = clock, stepped
-        self._scenario = scenario
         self._format = _frame_format(camera, self._settings.rows)
-        self._bands = Bands(self._format)
+        self._stamps = Stamps(self._format, lambda: self._frame_port.peer)
         self._supervisor = SafetySupervisor(_safety_for(camera, robot, self._settings.safety))
-        self._lock = threading.Lock()
-        self._stamp: FrameStamp | None = None
-        self._truth: Truth | None = None
         self._sequence = 0
         self._ended = False
         self._asked_to_stop = False
@@ -118,7 +96,14 @@ class Agent:
         allow = AllowList(self._settings.allow)
         host, port = self._settings.host, self._settings.port
         with ExitStack() as opened:
-            self._outlet = Outlet(host, port + 2, port + 3, allow=allow, answer=self._answer, report=self._telemetry)
+            self._outlet = Outlet(
+                host,
+                port + 2,
+                port + 3,
+                allow=allow,
+                answer=lambda request: self._answers.to(request),
+                report=self._telemetry,
+            )
             opened.callback(self._outlet.close)
             self._frame_port = StationPort(
                 "frames",
@@ -148,6 +133,21 @@ class Agent:
                 on_change=self._outlet.publish,
             )
             self._close_ports = opened.pop_all().close
+        self._answers = Answers(
+            camera,
+            robot,
+            pan_tilt,
+            frames=self._format,
+            rhythm=self._settings.rhythm,
+            speed_scale=self._settings.speed_scale,
+            scenario=scenario,
+            stamps=self._stamps,
+            wheels=self._wheels,
+            supervisor=self._supervisor,
+            frame_port=self._frame_port,
+            station=self._station,
+            clock=clock,
+        )
         self._writer = FrameWriter(self._frame_port, lambda: not self._stopping.is_set())
         self._reader = CommandReader(self._command_port)
 
@@ -301,23 +301,8 @@ class Agent:
     def _stamp_frame(self, peer: Peer, picture: CameraFrame, replaced: int) -> FrameFormat:
         """Number the frame and publish its telemetry, so that the station has it before the last byte. Returns what of
         the picture goes out under this number."""
-        pan_tilt = self._pan_tilt
-        pan_rad, tilt_rad = (None, None) if pan_tilt is None else pan_tilt.angles_at(picture.capture_s)
-        with self._lock:
-            before = self._stamp
-            if before is None or before.connection != peer.number:
-                before = FrameStamp(connection=peer.number, number=0, capture_s=0.0, dropped=0)
-            sent = self._bands.of(peer.number)
-            self._stamp = replace(
-                before,
-                number=before.number + 1,
-                capture_s=picture.capture_s,
-                dropped=before.dropped + replaced,
-                pan_rad=pan_rad,
-                tilt_rad=tilt_rad,
-                rows=sent.rows if sent is not self._format else None,
-            )
-            self._truth = picture.truth
+        angles_rad = self._pan_tilt.angles_at(picture.capture_s) if self._pan_tilt is not None else None
+        sent = self._stamps.stamp(peer.number, picture, replaced, angles_rad)
         self._outlet.publish()
         return sent
 
@@ -363,129 +348,32 @@ class Agent:
             self._camera.begin()
         self._wheels.decide()
 
-    # -- hello, control, telemetry ---------------------------------------------------------------------------------
-
-    def _answer(self, request: Request) -> Reply:
-        if request.action == "hello":
-            return Reply(ok=True, hello=self._hello())
-        if request.action == "exposure":
-            return self._set_exposure(request.value)
-        if request.action == "look":
-            return self._look(request.pan_rad, request.tilt_rad)
-        if request.action == "show":
-            return self._show(request.text)
-        if request.action == "rows":
-            return self._send_rows(request.rows, request.station)
-        if request.action == "stop":
-            self._supervisor.emergency_stop(request.text)
-        else:
-            self._supervisor.release()
-            log.warning("emergency stop released")
-        self._wheels.decide()
-        return Reply(ok=True)
-
-    def _show(self, what: str) -> Reply:
-        if what not in SIGHTS:
-            return Reply(ok=False, error=f"a station sees one of {', '.join(SIGHTS)}, not {what[:40]!r}")
-        if not hasattr(self._robot, "show"):
-            return Reply(ok=False, error="this robot has no lights")
-        self._wheels.station_sees(what)
-        return Reply(ok=True)
-
-    def _send_rows(self, rows: tuple[int, int] | None, station: str) -> Reply:
-        """From the next frame on; its number, decided together with the frames' own, tells the station where its
-        stream changes."""
-        with self._lock:
-            peer = self._frame_port.peer
-            if peer is None or peer.address != station:
-                return Reply(ok=False, error="only the station that gets the frames can choose their rows")
-            try:
-                self._bands.choose(rows, peer.number)
-            except ProtocolError as error:
-                return Reply(ok=False, error=str(error))
-            begun = self._stamp is not None and self._stamp.connection == peer.number
-            return Reply(ok=True, frame=1 + (self._stamp.number if begun and self._stamp is not None else 0))
-
-    def _set_exposure(self, exposure_us: float) -> Reply:
-        set_exposure = getattr(self._camera, "set_exposure", None)
-        if set_exposure is None:
-            return Reply(ok=False, error="this camera's exposure cannot be set")
-        set_exposure(exposure_us)
-        return Reply(ok=True)
-
-    def _look(self, pan_rad: float, tilt_rad: float) -> Reply:
-        if self._pan_tilt is None:
-            return Reply(ok=False, error="this robot has no pan-tilt")
-        limits = self._pan_tilt.limits
-        if math.dist((pan_rad, tilt_rad), limits.clamped(pan_rad, tilt_rad)) > ROUNDING_RAD:
-            (right, left), (low, high) = limits.pan_rad, limits.tilt_rad
-            return Reply(
-                ok=False,
-                error=f"pan {pan_rad:.3f}, tilt {tilt_rad:.3f} rad is out of reach: pan goes from {right:.3f} to "
-                f"{left:.3f}, tilt from {low:.3f} to {high:.3f}",
-            )
-        try:
-            self._pan_tilt.look(pan_rad, tilt_rad)
-        except PanTiltError as error:
-            return Reply(ok=False, error=str(error))
-        return Reply(ok=True)
-
-    def _hello(self) -> Hello:
-        scenario = self._scenario
-        if scenario is not None and self._frame_port.connections:
-            scenario = replace(scenario, events=())  # the operator's hand moves once, for the first station
-        if scenario is not None:
-            scenario = _shifted_events(scenario, self._format.first_row)
-        capabilities = ["stop", "rows"]
-        capabilities += ["exposure"] if hasattr(self._camera, "set_exposure") else []
-        capabilities += ["pan-tilt"] if self._pan_tilt is not None else []
-        capabilities += ["show"] if hasattr(self._robot, "show") else []
-        return Hello(
-            protocol=PROTOCOL_VERSION,
-            agent=f"zservo robot-agent {__version__}",
-            width=self._format.width,
-            height=self._format.height,
-            first_row=self._format.first_row,
-            full_height=self._format.full_height,
-            fps=self._camera.fps,
-            rhythm=self._settings.rhythm,
-            robot=self._robot.kind,
-            camera=type(self._camera).__name__,
-            intrinsics=_shifted(self._camera.intrinsics, self._format.first_row),
-            limits=replace(self._robot.limits, speed_scale=self._settings.speed_scale),
-            capabilities=tuple(capabilities),
-            busy_with=self._station(),
-            monotonic_s=self._clock(),
-            scenario=scenario,
-            pan_tilt=self._pan_tilt.limits if self._pan_tilt is not None else None,
-        )
+    # -- telemetry -------------------------------------------------------------------------------------------------
 
     def _station(self) -> str | None:
         peer = self._frame_port.peer or self._command_port.peer
         return peer.address if peer is not None else None
 
     def _telemetry(self) -> Telemetry:
-        wheels, watcher = self._wheels, self._frame_port.peer
-        decision, state = wheels.decision, wheels.robot_state
-        with self._lock:
-            self._sequence += 1
-            current = self._stamp is not None and watcher is not None and self._stamp.connection == watcher.number
-            return Telemetry(
-                sequence=self._sequence,
-                monotonic_s=self._clock(),
-                wall_s=time.time(),
-                frame=self._stamp if current else None,
-                proximity=state.proximity,
-                wheels_asked=(decision.left, decision.right),
-                wheels_measured=state.wheels_measured,
-                battery_v=state.battery_v,
-                safety=decision.state.value,
-                reason=decision.reason,
-                station=self._station(),
-                ended=self._ended,
-                cpu_s=time.process_time(),
-                truth=self._truth if current else None,
-            )
+        decision, state = self._wheels.decision, self._wheels.robot_state
+        stamp, truth = self._stamps.current()
+        self._sequence += 1  # the outlet asks for one at a time
+        return Telemetry(
+            sequence=self._sequence,
+            monotonic_s=self._clock(),
+            wall_s=time.time(),
+            frame=stamp,
+            proximity=state.proximity,
+            wheels_asked=(decision.left, decision.right),
+            wheels_measured=state.wheels_measured,
+            battery_v=state.battery_v,
+            safety=decision.state.value,
+            reason=decision.reason,
+            station=self._station(),
+            ended=self._ended,
+            cpu_s=time.process_time(),
+            truth=truth,
+        )
 
 
 def _host_of(port: StationPort) -> str | None:
@@ -514,20 +402,3 @@ def _safety_for(camera: Camera, robot: Robot, settings: SafetySettings) -> Safet
         frame_timeout_s=max(settings.frame_timeout_s, 3.0 / camera.fps),
         limit_units=min(settings.limit_units, robot.limits.max_units),
     )
-
-
-def _shifted(intrinsics: Intrinsics | None, first_row: int) -> Intrinsics | None:
-    """The camera of a band of rows."""
-    return None if intrinsics is None else replace(intrinsics, cy=intrinsics.cy - first_row)
-
-
-def _shifted_events(scenario: Scenario, first_row: int) -> Scenario:
-    """The operator's boxes in the band of rows that is sent."""
-
-    def shifted(event: ScenarioEvent) -> ScenarioEvent:
-        if event.box is None:
-            return event
-        x, y, width, height = event.box
-        return replace(event, box=(x, y - first_row, width, height))
-
-    return replace(scenario, events=tuple(shifted(event) for event in scenario.events))

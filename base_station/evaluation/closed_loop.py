@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from base_station.evaluation import drive_errors, pose_errors
+from base_station.evaluation.true_rows import Shown, TrueRow, TrueRows
 from base_station.station import Step
 from base_station.trackers.base import Survey
 from base_station.types import TrackerResult, TrackingState
@@ -27,8 +28,6 @@ FINAL_S = 1.0
 SETTLED_DISTANCE_M, SETTLED_BEARING_DEG = 0.01, 0.5
 SET_DOWN_M = 0.2
 """A robot that moves further than this between two frames was carried."""
-FRAMES_BEFORE_TRUTH = 300
-"""So many frames are kept until a first truth comes; on a real robot none does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,39 +110,10 @@ class Summary:
         return asdict(self)
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """What a frame showed, and when."""
-
-    key: tuple[str, int]
-    """Connection and number."""
-    time_s: float
-    result: TrackerResult
-    shadow: TrackerResult | None
-    pan_rad: float | None
-    """None when the camera is fixed."""
-
-
-@dataclass(frozen=True)
-class _Row:
-    """One frame after learning, with its truth."""
-
-    seen: _Seen
-    truth: Truth
-
-    @property
-    def time_s(self) -> float:
-        return self.seen.time_s
-
-    @property
-    def tracking(self) -> bool:
-        return self.seen.result.state is TrackingState.TRACKING
-
-
 class LoopLog:
     """Collects steps and telemetry while a run goes on (from two threads), and sums them up.
 
-    What is kept of a frame for its truth is kept where a simulation tells one: a real robot's station may run for days.
+    Of a frame are kept two times, and in a simulation its row.
     """
 
     def __init__(self, *, tracker: str, behaviour: str, shadow: str | None = None, from_memory: bool = False) -> None:
@@ -151,13 +121,11 @@ class LoopLog:
         self._tracker, self._behaviour, self._shadow = tracker, behaviour, shadow
         self._from_memory = from_memory
         self._lock = threading.Lock()
-        self._truths: dict[tuple[str, int], Truth] = {}
-        self._steps: list[_Seen] = []
+        self._rows = TrueRows()
         self._frames = self._tracked = self._shadow_tracked = 0
         self._first_time_s: float | None = None
         self._last_time_s = 0.0
-        self._learned_key: tuple[str, int] | None = None
-        self._learned_at = 0
+        self._learned_at: int | None = None
         self._tracker_s, self._delays_s = array("d"), array("d")
         self._first_wall_s = self._last_wall_s = 0.0
         self._frame_bytes = 0
@@ -183,7 +151,7 @@ class LoopLog:
             if stamp is not None:
                 self._dropped = stamp.dropped
             if telemetry.truth is not None and stamp is not None and telemetry.station is not None:
-                self._truths.setdefault((telemetry.station, stamp.number), telemetry.truth)
+                self._rows.note_truth((telemetry.station, stamp.number), telemetry.truth)
 
     def note_step(self, step: Step) -> None:
         """Keep what matters of a step; not its picture."""
@@ -194,14 +162,14 @@ class LoopLog:
         self._last_time_s, self._last_wall_s = step.frame.time_s, now_s
         self._frames += 1
         self._frame_bytes += step.frame.image.size
-        key = (step.frame.connection, step.frame.number)
-        if step.learned and self._learned_key is None:
-            self._learned_key, self._learned_at = key, len(self._steps)
+        with self._lock:
+            if step.learned and self._learned_at is None:
+                self._learned_at = self._rows.seen
+            key = (step.frame.connection, step.frame.number)
+            self._rows.note_frame(key, step.frame.time_s, step.result, step.shadow, step.pan_rad)
         if self.learned:
             self._tracked += _is_tracking(step.result)
             self._shadow_tracked += _is_tracking(step.shadow)
-        if self._truths or self._frames <= FRAMES_BEFORE_TRUTH:
-            self._steps.append(_Seen(key, step.frame.time_s, step.result, step.shadow, step.pan_rad))
         if step.learned:
             return  # learning is no tracking, its time would hide that of the frames
         self._tracker_s.append(step.tracker_s)
@@ -211,7 +179,7 @@ class LoopLog:
     def wait_for_truth(self, timeout_s: float = 0.5) -> None:
         """Telemetry may come after its frame: wait for that of the last one."""
         deadline_s = time.monotonic() + timeout_s
-        while self._truths and self._steps and self._steps[-1].key not in self._truths:
+        while not self._rows.complete:
             if time.monotonic() > deadline_s:
                 return
             time.sleep(0.005)
@@ -219,19 +187,20 @@ class LoopLog:
     @property
     def learned(self) -> bool:
         """Whether a target was ever learned."""
-        return self._learned_key is not None
+        return self._learned_at is not None
 
     def truths(self) -> list[tuple[float, Truth]]:
         """(time in s since the first frame, truth) of the frames seen, for plots."""
         with self._lock:
             zero_s = self._first_time_s or 0.0
-            return [(seen.time_s - zero_s, self._truths[seen.key]) for seen in self._steps if seen.key in self._truths]
+            return [(row.time_s - zero_s, row.truth) for row in self._rows.rows()]
 
     def summary(self, *, scenario: str | None, seed: int | None, rhythm: str | None) -> Summary:
         """Sum up. Call after the run."""
         with self._lock:
-            rows = self._rows()
-        learned = self._truths.get(self._learned_key) if self._learned_key and not self._from_memory else None
+            rows = [] if self._learned_at is None else self._rows.rows(self._learned_at)
+        knows_where = rows and rows[0].index == self._learned_at and not self._from_memory
+        learned = rows[0].truth if knows_where else None
         first, last = self._first_telemetry, self._last_telemetry
         wall_s = self._last_wall_s - self._first_wall_s
         zero_s = self._first_time_s or 0.0
@@ -284,12 +253,6 @@ class LoopLog:
             collisions=rows[-1].truth.collisions if rows else None,
         )
 
-    def _rows(self) -> list[_Row]:
-        if self._learned_key is None:
-            return []
-        since_learned = self._steps[self._learned_at :]
-        return [_Row(seen, self._truths[seen.key]) for seen in since_learned if seen.key in self._truths]
-
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 6)
@@ -311,92 +274,92 @@ def _is_tracking(result: TrackerResult | None) -> bool:
     return result is not None and result.state is TrackingState.TRACKING
 
 
-def _steering(row: _Row) -> TrackerResult | None:
-    return row.seen.result
+def _steering(row: TrueRow) -> Shown | None:
+    return row.shown
 
 
-def _shadow(row: _Row) -> TrackerResult | None:
-    return row.seen.shadow
+def _shadow(row: TrueRow) -> Shown | None:
+    return row.shadow
 
 
-Which = Callable[[_Row], TrackerResult | None]
+Which = Callable[[TrueRow], Shown | None]
 """Whose result of a row is meant."""
 
 
-def _tracking_share(rows: list[_Row], which: Which) -> float | None:
+def _tracking_share(rows: list[TrueRow], which: Which) -> float | None:
     results = [which(row) for row in rows if row.truth.in_view]
     tracked = [result.state is TrackingState.TRACKING for result in results if result is not None]
     return _rounded(float(np.mean(tracked))) if tracked else None
 
 
-def _true_bearings_deg(rows: list[_Row]) -> list[float]:
+def _true_bearings_deg(rows: list[TrueRow]) -> list[float]:
     return [math.degrees(row.truth.bearing_rad) for row in rows if row.truth.bearing_rad is not None]
 
 
-def _estimate_errors_deg(rows: list[_Row], which: Which) -> list[float]:
+def _estimate_errors_deg(rows: list[TrueRow], which: Which) -> list[float]:
     """What is seen is measured from the optical axis, the truth from the robot's heading: the pan lies between."""
     seen = [(row, result.bearing_rad) for row in rows if (result := which(row)) is not None]
     return [
-        math.degrees(math.remainder((row.seen.pan_rad or 0.0) + bearing - row.truth.bearing_rad, 2 * math.pi))
+        math.degrees(math.remainder((row.pan_rad or 0.0) + bearing - row.truth.bearing_rad, 2 * math.pi))
         for row, bearing in seen
         if bearing is not None and row.truth.bearing_rad is not None
     ]
 
 
-def _camera_errors_deg(rows: list[_Row]) -> list[float]:
+def _camera_errors_deg(rows: list[TrueRow]) -> list[float]:
     return [
-        math.degrees(math.remainder(row.truth.bearing_rad - row.seen.pan_rad, 2 * math.pi))
+        math.degrees(math.remainder(row.truth.bearing_rad - row.pan_rad, 2 * math.pi))
         for row in rows
-        if row.seen.pan_rad is not None and row.truth.bearing_rad is not None
+        if row.pan_rad is not None and row.truth.bearing_rad is not None
     ]
 
 
-def _distance_errors(rows: list[_Row], learned_range_m: float | None) -> list[float]:
+def _distance_errors(rows: list[TrueRow], learned_range_m: float | None) -> list[float]:
     """Relative to the learned range."""
     if not learned_range_m:
         return []
     return [row.truth.range_m / learned_range_m - 1.0 for row in rows if row.truth.range_m is not None]
 
 
-def _against(rows: list[_Row], learned: Truth | None, error: Callable[[Truth, Truth], float | None]) -> list[float]:
+def _against(rows: list[TrueRow], learned: Truth | None, error: Callable[[Truth, Truth], float | None]) -> list[float]:
     errors = [error(row.truth, learned) for row in rows] if learned is not None else []
     return [value for value in errors if value is not None]
 
 
-def _view_angle_errors_deg(rows: list[_Row], learned: Truth | None) -> list[float]:
+def _view_angle_errors_deg(rows: list[TrueRow], learned: Truth | None) -> list[float]:
     if learned is None:
         return []
-    pairs = [(row.seen.result.view_angle_rad, pose_errors.view_angle_rad(row.truth, learned)) for row in rows]
+    pairs = [(row.shown.view_angle_rad, pose_errors.view_angle_rad(row.truth, learned)) for row in rows]
     return [math.degrees(seen - true) for seen, true in pairs if seen is not None and true is not None]
 
 
-def _compass_errors_deg(rows: list[_Row], learned: Truth | None, *, without_pose: bool = False) -> list[float]:
+def _compass_errors_deg(rows: list[TrueRow], learned: Truth | None, *, without_pose: bool = False) -> list[float]:
     if learned is None:
         return []
     return [
         math.degrees(math.remainder(seen.compass_rad + row.truth.robot[2] - learned.robot[2], 2 * math.pi))
         for row in rows
-        if (seen := row.seen.result).compass_rad is not None and not (without_pose and seen.cam_from_world is not None)
+        if (seen := row.shown).compass_rad is not None and not (without_pose and seen.posed)
     ]
 
 
-def _compass_share(rows: list[_Row]) -> float | None:
-    known = [row.seen.result.compass_rad is not None for row in rows]
+def _compass_share(rows: list[TrueRow]) -> float | None:
+    known = [row.shown.compass_rad is not None for row in rows]
     return _rounded(float(np.mean(known))) if any(known) else None
 
 
-def _path_m(rows: list[_Row]) -> float | None:
+def _path_m(rows: list[TrueRow]) -> float | None:
     """Of the robot; where it was carried does not count."""
     steps = [math.dist(a.truth.robot[:2], b.truth.robot[:2]) for a, b in itertools.pairwise(rows)]
     return _rounded(sum(step for step in steps if step <= SET_DOWN_M)) if steps else None
 
 
-def _range_errors(rows: list[_Row]) -> list[float]:
-    pairs = [(row.seen.result.range_m, row.truth.range_m) for row in rows]
+def _range_errors(rows: list[TrueRow]) -> list[float]:
+    pairs = [(row.shown.range_m, row.truth.range_m) for row in rows]
     return [seen / true - 1 for seen, true in pairs if seen is not None and true]
 
 
-def _settled_s(rows: list[_Row], learned_range_m: float | None) -> float | None:
+def _settled_s(rows: list[TrueRow], learned_range_m: float | None) -> float | None:
     if not learned_range_m or not rows:
         return None
     begin_s, since_s = rows[0].time_s, None
@@ -414,12 +377,12 @@ def _settled_s(rows: list[_Row], learned_range_m: float | None) -> float | None:
     return _rounded(since_s - begin_s) if since_s is not None else None
 
 
-def _lost_said(rows: list[_Row]) -> tuple[float | None, str | None]:
+def _lost_said(rows: list[TrueRow]) -> tuple[float | None, str | None]:
     """How long after the target left for good LOST was said, and with which reason."""
     last_seen = max((i for i, row in enumerate(rows) if row.truth.in_view), default=None)
     if last_seen is None or last_seen == len(rows) - 1:
         return None, None
-    lost = next((row for row in rows[last_seen + 1 :] if not row.tracking), None)
+    lost = next((row for row in rows[last_seen + 1 :] if not row.shown.tracking), None)
     if lost is None:
         return None, None
-    return _rounded(lost.time_s - rows[last_seen].time_s), lost.seen.result.reason
+    return _rounded(lost.time_s - rows[last_seen].time_s), lost.shown.reason

@@ -30,12 +30,12 @@ MEASURED = ("loop_hz", "tracker_ms_p50", "frame_to_command_ms_p50", "frame_to_co
             "station_cpu_s")  # fmt: skip
 """Times, rates and processor time: what two runs of the same may differ in."""
 OLDER_AGENT = (
-    "from robot_agent import agent; from robot_agent.cli import main\n"
-    "new = agent.Agent._hello\n"
+    "from robot_agent import answers; from robot_agent.cli import main\n"
+    "new = answers.Answers._hello\n"
     "def hello(self):\n"
     "    said = new(self)\n"
-    "    return agent.replace(said, capabilities=tuple(c for c in said.capabilities if c != 'rows'))\n"
-    "agent.Agent._hello = hello\n"
+    "    return answers.replace(said, capabilities=tuple(c for c in said.capabilities if c != 'rows'))\n"
+    "answers.Answers._hello = hello\n"
     "raise SystemExit(main())\n"
 )
 
