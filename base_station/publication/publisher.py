@@ -16,7 +16,7 @@ import zmq
 from base_station.publication.schema import MAP, STATE, Addresses, encode
 from base_station.publication.states import StateMaker, map_of
 from base_station.station import Step
-from base_station.trackers.base import Maps, MapView, Shown, Shows, Tracker
+from base_station.trackers.base import Maps, MapView, Shown, Shows, SignatureView, Signs, Tracker
 
 STATE_PERIOD_S = 0.1
 MAP_PERIOD_S = 0.5
@@ -48,7 +48,7 @@ class Publisher:
         with contextlib.suppress(zmq.Again):
             self._pictures.send(encode(maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
             self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
-        self._publish_state(shown)
+        self._publish_state(tracker)
         self._publish_map(tracker)
 
     def wait(self) -> None:
@@ -60,11 +60,14 @@ class Publisher:
         self._pictures.close()
         self._states.close()
 
-    def _publish_state(self, shown: Shown | None) -> None:
+    def _publish_state(self, tracker: Tracker | None) -> None:
+        """A signature takes as long as tracking does: it is asked for when it is sent, not for each picture."""
         now_s = time.monotonic()
-        if now_s - self._state_s >= STATE_PERIOD_S:
-            self._state_s = now_s
-            self._send(STATE + encode(self._maker.state(shown)))
+        if now_s - self._state_s < STATE_PERIOD_S:
+            return
+        self._state_s = now_s
+        view = self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
+        self._send(STATE + encode(self._maker.state(view)))
 
     def _publish_map(self, tracker: Tracker | None) -> None:
         now_s = time.monotonic()
