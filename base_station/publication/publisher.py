@@ -38,6 +38,8 @@ class Publisher:
         self._pictures = _socket(context, addresses.pictures, 1)
         self._states = _socket(context, addresses.state, 4)
         self._mute: Tracker | None = None
+        self._last: tuple[Step, Shown | None] | None = None
+        self._signature: SignatureView | None = None
         self._state_s = self._map_s = float("-inf")
 
     def step(self, step: Step) -> None:
@@ -45,9 +47,8 @@ class Publisher:
         maker, tracker = self._maker, self._tracker()
         maker.note_step(step)
         shown = self._ask(tracker, Shown, tracker.show) if isinstance(tracker, Shows) else None
-        with contextlib.suppress(zmq.Again):
-            self._pictures.send(encode(maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
-            self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
+        self._last = step, shown
+        self._publish_picture(step, shown)
         self._publish_state(tracker)
         self._publish_map(tracker)
 
@@ -56,9 +57,21 @@ class Publisher:
         self._maker.note_wait()
         self._publish_state(None)
 
+    def hold(self) -> None:
+        """No frame comes any more: the last one is shown again, for pages that are opened late."""
+        self._maker.over = True
+        if self._last is not None:
+            self._publish_picture(*self._last)
+        self._send(STATE + encode(self._maker.state(self._signature)))
+
     def close(self) -> None:
         self._pictures.close()
         self._states.close()
+
+    def _publish_picture(self, step: Step, shown: Shown | None) -> None:
+        with contextlib.suppress(zmq.Again):
+            self._pictures.send(encode(self._maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
+            self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
 
     def _publish_state(self, tracker: Tracker | None) -> None:
         """A signature takes as long as tracking does: it is asked for when it is sent, not for each picture."""
@@ -66,8 +79,10 @@ class Publisher:
         if now_s - self._state_s < STATE_PERIOD_S:
             return
         self._state_s = now_s
-        view = self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
-        self._send(STATE + encode(self._maker.state(view)))
+        self._signature = (
+            self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
+        )
+        self._send(STATE + encode(self._maker.state(self._signature)))
 
     def _publish_map(self, tracker: Tracker | None) -> None:
         now_s = time.monotonic()

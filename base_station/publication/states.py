@@ -72,6 +72,8 @@ class StateMaker:
         takes_orders: bool = True,
     ) -> None:
         self._robot, self._choices, self._outcome, self._takes_orders = robot, choices, outcome, takes_orders
+        self.over = False
+        """See `State.over`."""
         self._step: Step | None = None
         self._last: Step | None = None
         """The last one, however long ago: who steers does not change while no frame comes."""
@@ -165,6 +167,7 @@ class StateMaker:
             behaviours=choices.behaviours,
             landmarks=choices.landmarks,
             orders=self._takes_orders,
+            over=self.over,
             signature=_signature(signature),
             notices=tuple(self._notices),
         )

@@ -10,7 +10,6 @@ import math
 import re
 import signal
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -67,7 +66,7 @@ class Stage:
         try:
             with urllib.request.urlopen(self.address, timeout=5.0) as answer:
                 return answer.status == 200
-        except urllib.error.URLError:
+        except OSError:
             return False
 
     def sees_pictures(self, page: Any) -> None:
