@@ -49,20 +49,23 @@ class Publisher:
         shown = self._ask(tracker, Shown, tracker.show) if isinstance(tracker, Shows) else None
         self._last = step, shown
         self._publish_picture(step, shown)
-        self._publish_state(tracker)
+        if self._state_is_due():  # a signature takes as long as tracking does: it is not asked for with each picture
+            self._signature = self._signature_of(tracker)
+            self._publish_state()
         self._publish_map(tracker)
 
     def wait(self) -> None:
         """No frame came."""
         self._maker.note_wait()
-        self._publish_state(None)
+        if self._state_is_due():
+            self._publish_state()
 
     def hold(self) -> None:
         """No frame comes any more: the last one is shown again, for pages that are opened late."""
         self._maker.over = True
         if self._last is not None:
             self._publish_picture(*self._last)
-        self._send(STATE + encode(self._maker.state(self._signature)))
+        self._publish_state()
 
     def close(self) -> None:
         self._pictures.close()
@@ -73,16 +76,15 @@ class Publisher:
             self._pictures.send(encode(self._maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
             self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
 
-    def _publish_state(self, tracker: Tracker | None) -> None:
-        """A signature takes as long as tracking does: it is asked for when it is sent, not for each picture."""
-        now_s = time.monotonic()
-        if now_s - self._state_s < STATE_PERIOD_S:
-            return
-        self._state_s = now_s
-        self._signature = (
-            self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
-        )
+    def _state_is_due(self) -> bool:
+        return time.monotonic() - self._state_s >= STATE_PERIOD_S
+
+    def _publish_state(self) -> None:
+        self._state_s = time.monotonic()
         self._send(STATE + encode(self._maker.state(self._signature)))
+
+    def _signature_of(self, tracker: Tracker | None) -> SignatureView | None:
+        return self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
 
     def _publish_map(self, tracker: Tracker | None) -> None:
         now_s = time.monotonic()

@@ -168,7 +168,7 @@ class StateMaker:
             landmarks=choices.landmarks,
             orders=self._takes_orders,
             over=self.over,
-            signature=_signature(signature),
+            signature=_signature(signature) if step is not None else None,
             notices=tuple(self._notices),
         )
 
