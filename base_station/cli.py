@@ -9,12 +9,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any, Union
 
 import tyro
 from rich.console import Console
 
 from base_station.calibration.command import Calibrate, calibrate_camera, spelt_out
+from base_station.command_line import CONFIG, no_command, read_settings_of
 from base_station.configuration import config_file, read_settings
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import watching_console
@@ -55,28 +56,18 @@ class Robots:
     """How long to listen."""
 
 
+COMMANDS = {
+    kind.__name__.lower(): kind
+    for kind in (Run, Replay, Compare, Export, Landmarks, Calibrate, Score, Evaluate, Trackers, Robots)
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
     arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
     try:
-        defaults = _run_defaults(arguments)
-        command = tyro.cli(
-            Annotated[Run, tyro.conf.subcommand(default=defaults)]
-            | Replay
-            | Compare
-            | Export
-            | Landmarks
-            | Calibrate
-            | Score
-            | Evaluate
-            | Trackers
-            | Robots,
-            prog="base-station",
-            description="The station on the PC: sees with a tracker, drives with a behaviour.",
-            args=arguments,
-            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-        )
+        command = _read(arguments)
     except SystemExit as end:  # tyro's own way out: after --help, or after having said what was wrong
         return EXIT_USAGE if end.code else EXIT_DONE
     except StationError as error:
@@ -113,10 +104,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(error, console)
 
 
-def _run_defaults(arguments: Sequence[str]) -> Run:
-    """What holds where no flag says otherwise: the file's settings that --config names. Raises StationError."""
-    path = config_file(arguments[1:]) if arguments and arguments[0] == "run" else None
-    return read_settings(path, Run, "run") if path is not None else Run()
+def _read(arguments: Sequence[str]) -> Any:
+    """Raises StationError; SystemExit where tyro has said what there was to say."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        return tyro.cli(
+            Union[tuple(COMMANDS.values())],  # noqa: UP007 (of a tuple)
+            prog="base-station",
+            description="The station on the PC: sees with a tracker, drives with a behaviour.",
+            args=arguments,
+            config=CONFIG,
+        )
+    name, *rest = arguments
+    if name not in COMMANDS:
+        raise no_command(name, list(COMMANDS), "base-station")
+    config = config_file(rest) if name == "run" else None
+    default = {} if config is None else {"default": read_settings(config, Run, "run")}
+    return read_settings_of(COMMANDS[name], rest, f"base-station {name}", **default)
 
 
 def _failed(error: StationError, console: Console) -> int:

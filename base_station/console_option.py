@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 from base_station.behaviours.registry import BEHAVIOURS
@@ -14,12 +16,14 @@ from base_station.landmark_shelf import LandmarkShelf
 from base_station.publication.service import OrderTaker, Publication
 from base_station.publication.states import Choices, RobotView
 from base_station.recording.replay import ReplayedRobot
-from base_station.recording.replay_command import Watch
+from base_station.recording.replay_command import Audience, Watch
 from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import tracker_names
 
 log = logging.getLogger(__name__)
+
+POLL_S = 0.2
 
 
 def check_console(settings: ConsoleSettings) -> None:
@@ -33,10 +37,43 @@ def watching_console(settings: ConsoleSettings, say: Callable[[str], None]) -> W
     """For a replay: opens a console that shows it; `say` gets the address. Raises StationError."""
     check_console(settings)
 
-    def watch(stack: ExitStack, robot: ReplayedRobot) -> Sequence[Callable[[Step], None]]:
-        return [open_console(stack, settings, robot, tracker=lambda: robot.tracker, say=say).step]
+    def watch(stack: ExitStack, robot: ReplayedRobot) -> Audience:
+        publication, console = _opened(stack, settings, robot, tracker=lambda: robot.tracker, say=say)
+        audience = ReplayAudience(publication, console, robot, say)
+        audience.wait_for_page()
+        return audience
 
     return watch
+
+
+class ReplayAudience:
+    """Whoever looks at a replay's console. It begins with the first page and stays after the end, as players do."""
+
+    def __init__(
+        self, publication: Publication, console: ConsoleProcess, robot: ReplayedRobot, say: Callable[[str], None]
+    ) -> None:
+        self._publication, self._console, self._robot, self._say = publication, console, robot, say
+
+    def wait_for_page(self) -> None:
+        """Or for the console's early end. Raises KeyboardInterrupt."""
+        self._say("The replay begins when this page is opened; Ctrl-C ends it.")
+        while self._console.running and not self._console.opened(POLL_S):
+            self._publication.wait()
+
+    def step(self, step: Step) -> None:
+        """A frame was dealt with."""
+        self._publication.step(step)
+
+    def stay(self) -> None:
+        """Show the last picture until Ctrl-C, or the console's early end."""
+        if not self._console.running:
+            return
+        self._robot.state += ", at its end"
+        self._say("The replay is at its end, the console keeps its last picture; Ctrl-C ends it.")
+        with contextlib.suppress(KeyboardInterrupt):
+            while self._console.running:
+                self._publication.hold()
+                time.sleep(POLL_S)
 
 
 def open_console(
@@ -55,6 +92,25 @@ def open_console(
 
     `orders`: None for a replay, which takes none. Raises StationError when there can be no console.
     """
+    publication, _ = _opened(
+        stack, settings, robot, orders=orders, shelf=shelf, tracker=tracker, outcome=outcome, own_trackers=own_trackers,
+        say=say,
+    )  # fmt: skip
+    return publication
+
+
+def _opened(
+    stack: ExitStack,
+    settings: ConsoleSettings,
+    robot: RobotView,
+    *,
+    say: Callable[[str], None],
+    orders: OrderTaker | None = None,
+    shelf: LandmarkShelf | None = None,
+    tracker: Callable[[], Tracker | None] = lambda: None,
+    outcome: Callable[[], str] = lambda: "",
+    own_trackers: tuple[str, ...] = (),
+) -> tuple[Publication, ConsoleProcess]:
     trackers = tuple(dict.fromkeys((*own_trackers, *tracker_names())))
 
     def choices() -> Choices:
@@ -72,4 +128,4 @@ def open_console(
     stack.enter_context(publication)
     console = stack.enter_context(ConsoleProcess(publication.addresses.folder, settings))
     say(f"console: {console.address}")
-    return publication
+    return publication, console

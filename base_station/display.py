@@ -7,43 +7,31 @@ import time
 from collections import deque
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from base_station.evaluation.closed_loop import Summary
 from base_station.link import Link
+from base_station.live_text import LiveText
 from base_station.station import Step
 from base_station.types import TrackerResult, TrackingState
 
 REFRESH_S = 0.2
-PLAIN_REFRESH_S = 2.0
-"""Without a terminal: a line of text this often."""
 STYLES = {TrackingState.TRACKING: "bold green", TrackingState.LOST: "bold red", TrackingState.INITIALIZING: "yellow"}
 
 
-class StatusLine:
-    """Use as a context manager; `step` and `wait` may be called as often as one likes, it draws now and then."""
+class StatusLine(LiveText):
+    """Call `step` and `wait` as often as one likes: it draws now and then."""
 
     def __init__(self, console: Console, link: Link, tracker: str, behaviour: str, hint: str = "") -> None:
-        self._console, self._link = console, link
+        super().__init__(console, REFRESH_S)
+        self._link = link
         self._names = _names(tracker, behaviour)
         self._hint = hint
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._walls_s: deque[float] = deque(maxlen=60)
-        self._drawn_s = float("-inf")
         self._result: TrackerResult | None = None
         self._shadow: TrackerResult | None = None
         self._pan_rad: float | None = None
-
-    def __enter__(self) -> StatusLine:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
 
     def step(self, step: Step) -> None:
         """A frame was dealt with."""
@@ -58,14 +46,7 @@ class StatusLine:
         self._draw()
 
     def _draw(self) -> None:
-        now_s = time.monotonic()
-        if now_s - self._drawn_s < (REFRESH_S if self._live is not None else PLAIN_REFRESH_S):
-            return
-        self._drawn_s = now_s
-        if self._live is not None:
-            self._live.update(self._line(), refresh=True)
-        else:
-            self._console.print(self._line().plain, soft_wrap=True, markup=False, highlight=False)
+        self.draw(self._line, lambda: self._line().plain)
 
     def _line(self) -> Text:
         line = Text(f"{self._names}  ", style="cyan")

@@ -185,7 +185,7 @@ def _rows_of(tracker: Tracker) -> Rows | None:
         return None
     if not isinstance(rows, tuple) or len(rows) != 2 or not all(isinstance(row, int) for row in rows):
         kind = type(tracker).__name__
-        raise StationError(f"Stopped the robot: {kind}.wanted_rows returned {rows!r:.60}, not two whole rows or None.")
+        raise StationError(f"{kind}.wanted_rows returned {rows!r:.60}, not two whole rows or None: the run ends here.")
     return rows
 
 
@@ -193,5 +193,5 @@ def _checked(tracker: Tracker, result: object) -> TrackerResult:
     """A tracker of the user's own may return anything."""
     if not isinstance(result, TrackerResult):
         kind = type(tracker).__name__
-        raise StationError(f"Stopped the robot: {kind}.update returned {type(result).__name__}, not a TrackerResult.")
+        raise StationError(f"{kind}.update returned {type(result).__name__}, not a TrackerResult: the run ends here.")
     return result

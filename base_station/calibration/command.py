@@ -62,6 +62,8 @@ class Board:
     pattern: BoardOptions = dataclasses.field(default_factory=BoardOptions)
     paper: Literal["A4", "A3", "A2", "A1", "A0", "letter"] = "A4"
     """What it is printed on."""
+    overwrite: bool = False
+    """Replace a file that is there already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +85,8 @@ def calibrate_camera(command: Calibrate, console: Console) -> None:
     action = command.action
     board = CalibrationBoard.of(action.pattern)
     if isinstance(action, Board):
-        print(f"{action.file}: {write_board(board, action.paper, action.file)}. Print it at 100 % and measure it.")
+        written = write_board(board, action.paper, action.file, overwrite=action.overwrite)
+        print(f"{action.file}: {written}. Print it at 100 % and measure it.")
         return
     if not action.output.parent.is_dir() or action.output.is_dir():
         raise StationError(f"--output {action.output}: name a file in a folder that exists.", usage=True)

@@ -3,53 +3,32 @@
 from __future__ import annotations
 
 import math
-import time
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from base_station.calibration.collector import Collector, Verdict
 from base_station.calibration.detection import BoardView
 from base_station.calibration.solving import NAMES, Calibration
+from base_station.live_text import LiveText
 
 REFRESH_S = 0.1
-PLAIN_REFRESH_S = 2.0
-"""Without a terminal: a line of text this often, and one for every view that is taken."""
 CELL = "▄▄▄▄ "
 SHADES = ((0, "grey30"), (1, "dark_green"), (6, "green3"), (20, "bright_green"))
 """From so many corners on."""
 
 
-class CollectingDisplay:
-    """Use as a context manager; `show` may be called with every picture, it draws now and then."""
+class CollectingDisplay(LiveText):
+    """Call `show` with every picture: it draws now and then, and at once when a view is taken."""
 
     def __init__(self, console: Console, collector: Collector, hint: str) -> None:
-        self._console, self._collector, self._hint = console, collector, hint
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-        self._drawn_s = float("-inf")
-
-    def __enter__(self) -> CollectingDisplay:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
+        super().__init__(console, REFRESH_S)
+        self._collector, self._hint = collector, hint
 
     def show(self, verdict: Verdict, view: BoardView | None = None) -> None:
         """What became of a picture."""
-        now_s = time.monotonic()
-        refresh_s = REFRESH_S if self._live is not None else PLAIN_REFRESH_S
-        if not verdict.taken and now_s - self._drawn_s < refresh_s:
-            return
-        self._drawn_s = now_s
-        if self._live is not None:
-            self._live.update(self._picture(verdict, view), refresh=True)
-        else:
-            self._console.print(self._line(verdict), soft_wrap=True, markup=False, highlight=False)
+        self.draw(lambda: self._picture(verdict, view), lambda: self._line(verdict), at_once=verdict.taken)
 
     def _line(self, verdict: Verdict) -> str:
         found = self._collector

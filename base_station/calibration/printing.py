@@ -30,15 +30,19 @@ PNG_DPI = 300
 FONT_PT = 8
 
 
-def write_board(board: CalibrationBoard, paper: str, path: Path) -> str:
-    """Write the file that its suffix asks for; what it is, in words. Raises StationError."""
+def write_board(board: CalibrationBoard, paper: str, path: Path, *, overwrite: bool = False) -> str:
+    """Write the file that its suffix asks for; what it is, in words. Raises StationError, also when there is such a
+    file already and it is not to be overwritten."""
     writers = {".pdf": board_pdf, ".png": board_png}
     if path.suffix.lower() not in writers:
         raise StationError(f"{path}: name a file that ends with .pdf or .png.", usage=True)
     page = page_mm(board, paper)
     data = writers[path.suffix.lower()](board, page)
     try:
-        path.write_bytes(data)
+        with path.open("wb" if overwrite else "xb") as file:
+            file.write(data)
+    except FileExistsError as error:
+        raise StationError(f"{path} is there already: name another file, or give --overwrite.", usage=True) from error
     except OSError as error:
         raise StationError(f"{path} cannot be written ({error.strerror}).", usage=True) from error
     return f"{board.described()} on {paper}, {page[0]:g}x{page[1]:g} mm"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from base_station.console.feed import Feed
 from base_station.console.gate import Gate
-from base_station.console.launcher import Instructions
+from base_station.console.launcher import OPENED, Instructions
 from base_station.console.line import Lines
 from base_station.console.page import add_page
 from base_station.console.routes import add_routes
@@ -29,7 +29,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     told = from_map(Instructions, json.loads(sys.stdin.readline()))
     addresses = Addresses(Path(told.folder))
-    feed, lines = Feed(addresses), Lines(addresses)
+    feed, lines = Feed(addresses, lambda: print(OPENED, flush=True)), Lines(addresses)
     application = fastapi().FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     add_routes(application, fastapi(), feed, lines)
     add_page(nicegui(), feed, lines)

@@ -35,7 +35,8 @@ class Controls:
         """The picture with its buttons."""
         ui = self._ui
         with ui.element("div").classes("panel stage"):
-            ui.element("div").classes("view").props("id=view")
+            with ui.element("div").classes("room"):
+                ui.element("div").classes("view").props("id=view")
             with ui.element("div").classes("view-foot orders"):
                 ui.button("Whole view", on_click=lambda: self._order(kind="learn"))
                 ui.label("or drag a box, or click").classes("soft")
@@ -59,9 +60,9 @@ class Controls:
         with ui.element("div").classes("panel landmarks orders"):
             with ui.element("div").classes("title"):
                 ui.label("Landmarks")
-            with ui.element("div").classes("row").style("flex-wrap: nowrap; margin-bottom: 6px"):
+            with ui.element("div").classes("row learn"):
                 self._name = ui.input(placeholder="name").props(f"dense outlined maxlength={LONGEST_NAME}")
-                self._name.style("flex: 1; min-width: 60px").props('aria-label="name of a landmark"')
+                self._name.props('aria-label="name of a landmark"')
                 ui.button("Learn target", on_click=lambda: self._remember(whole=False)).props("outline dense no-wrap")
                 ui.button("Learn view", on_click=lambda: self._remember(whole=True)).props("outline dense no-wrap")
             self._list = ui.element("div").classes("list")

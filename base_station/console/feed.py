@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -45,9 +46,12 @@ class Sample:
 
 
 class Feed:
-    """`start` it; the rest may be read from any thread, `picture` from the event loop."""
+    """`start` it; the rest may be read from any thread, `picture` from the event loop.
 
-    def __init__(self, addresses: Addresses) -> None:
+    `first_look`: called once, when the first page asks for a picture.
+    """
+
+    def __init__(self, addresses: Addresses, first_look: Callable[[], None] = lambda: None) -> None:
         self._state: State | None = None
         self._state_s = float("-inf")
         self.map: Map | None = None
@@ -56,7 +60,7 @@ class Feed:
         self.history: deque[Sample] = deque(maxlen=round(HISTORY_S / HISTORY_PERIOD_S))
         self.ended = False
         """The station has ended."""
-        self._addresses = addresses
+        self._addresses, self._first_look = addresses, first_look
         self._packet: tuple[int, bytes] = (0, b"")
         self._asked_s = float("-inf")
         self._sampled_s = self._pictured_s = float("-inf")
@@ -89,6 +93,8 @@ class Feed:
     async def picture(self, after: int, patience_s: float) -> bytes:
         """A packet (see `packet`) with a picture numbered above `after`, as soon as there is one; without a picture
         when none came in time."""
+        if self._asked_s == float("-inf"):
+            self._first_look()
         self._asked_s = time.monotonic()
         self._loop = asyncio.get_running_loop()
         if self._packet[0] <= after and not self.ended:
@@ -135,7 +141,7 @@ class Feed:
 
     def _sample(self, state: State) -> None:
         now_s = time.monotonic()
-        if now_s - self._sampled_s < HISTORY_PERIOD_S:
+        if now_s - self._sampled_s < HISTORY_PERIOD_S or state.over:
             return
         self._sampled_s = now_s
         seen = state.seen

@@ -28,6 +28,8 @@ MOST_TRIES = 20
 """So many ports are tried, from the one that was asked for."""
 END_S = 4.0
 LAST_WORDS = 5
+OPENED = "opened"
+"""The line that the console says when the first page is open."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,18 +66,29 @@ class ConsoleProcess:
         self._ending = False
         self._said: deque[str] = deque(maxlen=LAST_WORDS)
         self._watching = threading.Thread(target=self._watch, name="console", daemon=True)
+        self._opened = threading.Event()
+        self._hearing = threading.Thread(target=self._hear, name="pages", daemon=True)
 
     @property
     def address(self) -> str:
         """To open in a browser; with the token where one is needed."""
         return address_text(self._host, self._port, self._token)
 
+    @property
+    def running(self) -> bool:
+        """It serves pages; not when it has ended by itself."""
+        return self.process is not None and self.process.poll() is None
+
+    def opened(self, patience_s: float) -> bool:
+        """Whether a page has been opened; waits so long for one."""
+        return self._opened.wait(patience_s)
+
     def __enter__(self) -> ConsoleProcess:
         descriptor = self._listening.fileno()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "base_station.console"],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
@@ -89,6 +102,7 @@ class ConsoleProcess:
             self.process.stdin.flush()
         self._listening.close()
         self._watching.start()
+        self._hearing.start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -102,6 +116,7 @@ class ConsoleProcess:
             process.kill()
             process.wait()
         self._watching.join(END_S)
+        self._hearing.join(END_S)
 
     def _watch(self) -> None:
         """Read what it says, so that it never waits for that; and tell when it ends by itself."""
@@ -114,6 +129,14 @@ class ConsoleProcess:
         if not self._ending:
             why = " ".join(self._said) or "it said nothing"
             log.error("The console ended (exit code %d: %s). The station goes on without it.", code, why)
+
+    def _hear(self) -> None:
+        process = self.process
+        assert process is not None and process.stdout is not None
+        for line in process.stdout:
+            if line.strip() == OPENED:
+                self._opened.set()
+        process.stdout.close()
 
 
 def is_loopback(host: str) -> bool:

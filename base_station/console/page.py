@@ -51,9 +51,10 @@ def _build(ui: Any, feed: Feed, lines: Lines) -> None:
         with ui.element("div").classes("left"):
             controls.stage()
             signature, scene = SignaturePlot(ui), Scene(ui, feed)
+        with ui.element("div").classes("middle"):
+            controls.choices()
             controls.landmarks()
         with ui.element("div").classes("right"):
-            controls.choices()
             gauges, history = Gauges(ui), HistoryPlot(ui, feed)
     parts = (top, controls, gauges, history, signature, scene)
 

@@ -22,6 +22,9 @@ GRAY, LINE = "#7d8894", "rgba(125, 136, 148, 0.25)"
 LABEL = {"color": GRAY, "fontSize": 11}
 ENDS = {**LABEL, "alignMinLabel": "left", "alignMaxLabel": "right"}
 
+FROM_0_TO_1 = {"min": 0, "max": 1.04, "interval": 0.5, "axisLabel": {**LABEL, "showMaxLabel": False}}
+"""With room for a line along 1."""
+
 
 class HistoryPlot:
     """Light lines, drawn anew some times a second."""
@@ -29,7 +32,7 @@ class HistoryPlot:
     def __init__(self, ui: Any, feed: Feed) -> None:
         self._feed, self._refreshes = feed, 0
         with ui.element("div").classes("panel plots"):
-            self._chart = ui.echart(history_options()).style("height: 220px; width: 100%")
+            self._chart = ui.echart(history_options()).style("height: 100%; width: 100%")
 
     def show(self, state: State) -> None:
         """Bring in what has changed."""
@@ -68,20 +71,24 @@ class SignaturePlot:
 
 def history_options() -> dict[str, Any]:
     """Four small plots, two by two, for ECharts."""
-    places = [(f"{left}%", top) for top in (3, 115) for left in (0, 52)]
+    places = [(left, low) for low in (False, True) for left in (0, 52)]
     grids = [
-        {"left": left, "width": "46%", "top": top + 20, "height": 80, "containLabel": True} for left, top in places
-    ]
+        {
+            "left": f"{left}%", "right": f"{52 - left}%", "top": "58%" if low else 20, "bottom": 0 if low else "52%",
+            "containLabel": True,
+        }
+        for left, low in places
+    ]  # fmt: skip
     bare = {"axisLine": {"show": False, "onZero": False}, "axisTick": {"show": False}, "axisLabel": LABEL}
     bare["splitLine"] = {"lineStyle": {"color": LINE}}
     return {
         "animation": False,
         "title": [
             {
-                "text": f"{name} {unit}".strip(), "left": left, "top": top, "padding": 0,
+                "text": f"{name} {unit}".strip(), "left": f"{left}%", "top": "50%" if low else 0, "padding": [3, 0],
                 "textStyle": {**LABEL, "fontWeight": 600},
             }
-            for (name, unit, _), (left, top) in zip(CURVES, places, strict=True)
+            for (name, unit, _), (left, low) in zip(CURVES, places, strict=True)
         ],
         "grid": grids,
         "xAxis": [
@@ -94,7 +101,7 @@ def history_options() -> dict[str, Any]:
         "yAxis": [
             {
                 **bare, "gridIndex": i, "type": "value", "scale": True, "splitNumber": 2,
-                **({"min": 0, "max": 1} if name == "confidence" else {}),
+                **(FROM_0_TO_1 if name == "confidence" else {}),
             }
             for i, (name, _, _) in enumerate(CURVES)
         ],

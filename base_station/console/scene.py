@@ -27,7 +27,7 @@ class Scene:
             with ui.element("div").classes("title"):
                 ui.label("Map")
                 self._counts = ui.label()
-            self._place = ui.element("div").style("width: 100%")
+            self._place = ui.element("div").classes("place")
 
     def show(self, state: State) -> None:
         """Bring in what has changed."""
@@ -45,7 +45,7 @@ class Scene:
     def _build(self) -> None:
         with self._place:
             self._scene = self._ui.scene(width=700, height=300, grid=(10, 10), fps=FPS, background_color="#12171c")
-        self._scene.style("width: 100%; height: 300px").classes("scene")
+        self._scene.style("width: 100%; height: 100%").classes("scene")
         with self._scene as scene:
             self._points = scene.point_cloud([[0, 0, 0]], point_size=0.06).material(POINT)
             self._keyframes = scene.point_cloud([[0, 0, 0]], point_size=0.18).material(KEYFRAME)

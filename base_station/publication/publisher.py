@@ -16,7 +16,7 @@ import zmq
 from base_station.publication.schema import MAP, STATE, Addresses, encode
 from base_station.publication.states import StateMaker, map_of
 from base_station.station import Step
-from base_station.trackers.base import Maps, MapView, Shown, Shows, Tracker
+from base_station.trackers.base import Maps, MapView, Shown, Shows, SignatureView, Signs, Tracker
 
 STATE_PERIOD_S = 0.1
 MAP_PERIOD_S = 0.5
@@ -38,6 +38,8 @@ class Publisher:
         self._pictures = _socket(context, addresses.pictures, 1)
         self._states = _socket(context, addresses.state, 4)
         self._mute: Tracker | None = None
+        self._last: tuple[Step, Shown | None] | None = None
+        self._signature: SignatureView | None = None
         self._state_s = self._map_s = float("-inf")
 
     def step(self, step: Step) -> None:
@@ -45,26 +47,44 @@ class Publisher:
         maker, tracker = self._maker, self._tracker()
         maker.note_step(step)
         shown = self._ask(tracker, Shown, tracker.show) if isinstance(tracker, Shows) else None
-        with contextlib.suppress(zmq.Again):
-            self._pictures.send(encode(maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
-            self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
-        self._publish_state(shown)
+        self._last = step, shown
+        self._publish_picture(step, shown)
+        if self._state_is_due():  # a signature takes as long as tracking does: it is not asked for with each picture
+            self._signature = self._signature_of(tracker)
+            self._publish_state()
         self._publish_map(tracker)
 
     def wait(self) -> None:
         """No frame came."""
         self._maker.note_wait()
-        self._publish_state(None)
+        if self._state_is_due():
+            self._publish_state()
+
+    def hold(self) -> None:
+        """No frame comes any more: the last one is shown again, for pages that are opened late."""
+        self._maker.over = True
+        if self._last is not None:
+            self._publish_picture(*self._last)
+        self._publish_state()
 
     def close(self) -> None:
         self._pictures.close()
         self._states.close()
 
-    def _publish_state(self, shown: Shown | None) -> None:
-        now_s = time.monotonic()
-        if now_s - self._state_s >= STATE_PERIOD_S:
-            self._state_s = now_s
-            self._send(STATE + encode(self._maker.state(shown)))
+    def _publish_picture(self, step: Step, shown: Shown | None) -> None:
+        with contextlib.suppress(zmq.Again):
+            self._pictures.send(encode(self._maker.head(step, shown)), zmq.SNDMORE | zmq.DONTWAIT)
+            self._pictures.send(step.frame.image.data, zmq.DONTWAIT, copy=False)
+
+    def _state_is_due(self) -> bool:
+        return time.monotonic() - self._state_s >= STATE_PERIOD_S
+
+    def _publish_state(self) -> None:
+        self._state_s = time.monotonic()
+        self._send(STATE + encode(self._maker.state(self._signature)))
+
+    def _signature_of(self, tracker: Tracker | None) -> SignatureView | None:
+        return self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
 
     def _publish_map(self, tracker: Tracker | None) -> None:
         now_s = time.monotonic()

@@ -141,6 +141,8 @@ class State:
     landmarks: tuple[str, ...] = ()
     orders: bool = True
     """Orders are taken; not by the replay of a recording."""
+    over: bool = False
+    """A replay has come to its end: nothing changes any more."""
     signature: Signature | None = None
     notices: tuple[Notice, ...] = ()
 

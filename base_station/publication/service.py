@@ -88,6 +88,11 @@ class Publication:
         assert self._publisher is not None
         self._publisher.wait()
 
+    def hold(self) -> None:
+        """A replay is at its end: call this some times a second, so long as it is to be seen."""
+        assert self._publisher is not None
+        self._publisher.hold()
+
     def _serve_emergency(self, wish: Wish) -> str:
         if self._orders is None:
             return NO_ORDERS

@@ -25,7 +25,7 @@ from base_station.publication.schema import (
     State,
 )  # fmt: skip
 from base_station.station import Step
-from base_station.trackers.base import MapView, Shown
+from base_station.trackers.base import MapView, Shown, SignatureView
 from base_station.types import TrackerResult, TrackingState
 from protocol import Hello, Telemetry
 
@@ -72,6 +72,8 @@ class StateMaker:
         takes_orders: bool = True,
     ) -> None:
         self._robot, self._choices, self._outcome, self._takes_orders = robot, choices, outcome, takes_orders
+        self.over = False
+        """See `State.over`."""
         self._step: Step | None = None
         self._last: Step | None = None
         """The last one, however long ago: who steers does not change while no frame comes."""
@@ -134,7 +136,7 @@ class StateMaker:
             bands=shown.bands if shown is not None else 0,
         )
 
-    def state(self, shown: Shown | None) -> State:
+    def state(self, signature: SignatureView | None) -> State:
         """How all stands now."""
         step, last, robot, choices = self._step, self._last, self._robot, self._choices()
         hello = robot.hello
@@ -165,7 +167,8 @@ class StateMaker:
             behaviours=choices.behaviours,
             landmarks=choices.landmarks,
             orders=self._takes_orders,
-            signature=_signature(shown),
+            over=self.over,
+            signature=_signature(signature) if step is not None else None,
             notices=tuple(self._notices),
         )
 
@@ -215,12 +218,10 @@ def _features(shown: Shown | None, columns: int, rows: int) -> bytes:
     return np.clip(shown.features_px[:MOST_FEATURES], 0, (columns - 1, rows - 1)).round().astype("<u2").tobytes()
 
 
-def _signature(shown: Shown | None) -> Signature | None:
-    if shown is None or shown.signature is None or shown.learned_signature is None:
+def _signature(view: SignatureView | None) -> Signature | None:
+    if view is None:
         return None
-    return Signature(
-        now=shown.signature.astype("<f4").tobytes(), learned=shown.learned_signature.astype("<f4").tobytes()
-    )
+    return Signature(now=view.now.astype("<f4").tobytes(), learned=view.learned.astype("<f4").tobytes())
 
 
 def _words(hello: Hello | None) -> str:

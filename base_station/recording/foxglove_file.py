@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,14 @@ from base_station.errors import StationError
 from base_station.evaluation.slam.trajectory import quaternions
 from base_station.geometry import PinholeCamera
 from base_station.recording import topics
+from base_station.recording.labels import Label
 
 CHUNK_BYTES = 1 << 20
 COMPRESSION_LEVEL = 1
 NS_PER_S = 1_000_000_000
 CAMERA_FRAME, WORLD_FRAME = "camera", "world"
+LINE_PX, TEXT_PX = 2.0, 14.0
+"""Of annotations: their lines' thickness, and their letters' height."""
 
 
 class _Sink(io.RawIOBase):
@@ -134,6 +137,31 @@ class FoxgloveFile:
             step=width, data=image.tobytes(),
         )  # fmt: skip
         self._log("RawImageChannel", topics.CAMERA, at, message)
+
+    def annotations(self, at: Stamp, labels: Sequence[Label]) -> None:
+        """Boxes and words over the picture of the same time; none where there are none, so that old ones go."""
+        messages, timestamp = self._library.messages, self._library.timestamp(at)
+        points, texts = [], []
+        for label in labels:
+            colour = messages.Color(r=label.colour[0], g=label.colour[1], b=label.colour[2], a=1.0)
+            x, y = label.at_px
+            if label.box is not None:
+                left, top, width, height = label.box
+                corners = ((left, top), (left + width, top), (left + width, top + height), (left, top + height))
+                points.append(
+                    messages.PointsAnnotation(
+                        timestamp=timestamp, type=messages.PointsAnnotationType.LineLoop,
+                        points=[messages.Point2(x=x, y=y) for x, y in corners], outline_color=colour, thickness=LINE_PX,
+                    )
+                )  # fmt: skip
+            texts.append(
+                messages.TextAnnotation(
+                    timestamp=timestamp, position=messages.Point2(x=x, y=y), text=label.text, font_size=TEXT_PX,
+                    text_color=colour, background_color=messages.Color(r=0.04, g=0.05, b=0.07, a=0.7),
+                )
+            )  # fmt: skip
+        message = messages.ImageAnnotations(timestamp=timestamp, points=points, texts=texts)
+        self._log("ImageAnnotationsChannel", topics.ANNOTATIONS, at, message)
 
     def calibration(self, at: Stamp, camera: PinholeCamera) -> None:
         """The camera, of whole pictures."""

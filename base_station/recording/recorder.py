@@ -21,8 +21,9 @@ import numpy as np
 from base_station.errors import StationError
 from base_station.geometry import FlatPose, PinholeCamera
 from base_station.recording import topics
-from base_station.recording.foxglove_file import NS_PER_S, WORLD_FRAME, FoxgloveFile, Stamp
+from base_station.recording.foxglove_file import CAMERA_FRAME, NS_PER_S, WORLD_FRAME, FoxgloveFile, Stamp
 from base_station.recording.jpeg import JpegEncoder
+from base_station.recording.labels import labels_of
 from base_station.recording.poses import inverse, world_from_camera, world_from_robot
 from base_station.station import Step
 from base_station.types import Frame
@@ -242,6 +243,7 @@ class Recorder:
         if step.shadow is not None:
             self._file.json(topics.SHADOW, at, topics.result_fields(step.shadow, step.shadow_tracker or ""))
         fields = topics.step_fields(step, picture=seen.picture)
+        self._file.annotations(at, labels_of(step))
         self._file.json(
             topics.COMMAND, at, {name: fields[name] for name in topics.SCHEMAS[topics.COMMAND]["properties"]}
         )
@@ -259,8 +261,11 @@ class Recorder:
     def _write_poses(self, at: Stamp, seen: _Seen) -> None:
         driven, pose = seen.driven, topics.whole_pose(seen.step.result)
         if driven is not None:
-            robot = world_from_robot(driven.x_m, driven.y_m, driven.heading_rad)
-            self._file.pose(topics.ODOMETRY_POSE, at, ODOMETRY_FRAME, robot)
+            place = driven.x_m, driven.y_m, driven.heading_rad
+            self._file.pose(topics.ODOMETRY_POSE, at, ODOMETRY_FRAME, world_from_robot(*place))
+            if self._told_hello is not None and self._told_hello.scenario is None:  # else the simulation knows better
+                camera = world_from_camera(*place, seen.step.pan_rad or 0.0)
+                self._file.transform(at, ODOMETRY_FRAME, CAMERA_FRAME, camera)
         if pose is not None:
             self._file.pose(topics.SLAM_POSE, at, MAP_FRAME, inverse(pose))
 
@@ -296,7 +301,7 @@ class Recorder:
         connection, number = key
         self._file.json(topics.TRUTH, at, {"number": number, "connection": connection, **asdict(truth)})
         self._file.pose(topics.TRUE_POSE, at, WORLD_FRAME, world_from_robot(*truth.robot))
-        self._file.transform(at, WORLD_FRAME, "camera", world_from_camera(*truth.robot, pan_rad))
+        self._file.transform(at, WORLD_FRAME, CAMERA_FRAME, world_from_camera(*truth.robot, pan_rad))
 
     def _stamp(self, time_s: float) -> Stamp:
         """The frames' clock in nanoseconds since 1970: it goes as the frames', and began when the recording did."""

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import tyro
 from rich.console import Console
@@ -70,7 +70,8 @@ class Replay:
     record: Path | None = None
     """Record the replay, pictures without loss, to this MCAP file."""
     console: bool = False
-    """Watch it in the browser, at the rate at which the frames were taken; the terminal tells the address."""
+    """Watch it in the browser, at the rate at which the frames were taken: from when the page is opened (the terminal
+    tells the address) until Ctrl-C."""
     console_host: str = "127.0.0.1"
     """Address to serve the console at; any but this machine's own asks its visitors for a token."""
     console_port: int = 8080
@@ -97,11 +98,23 @@ class _Rows:
             self.then.add(*at, earlier, seconds=took_s, learned=recorded.learned)
 
 
-Watch = Callable[[ExitStack, ReplayedRobot], Sequence[Callable[[Step], None]]]
-"""Opens what watches a replay, for as long as the stack lasts; returns whom to tell of every step."""
+class Audience(Protocol):
+    """Who watches a replay."""
+
+    def step(self, step: Step) -> None:
+        """A frame was dealt with."""
+        ...
+
+    def stay(self) -> None:
+        """There are no more frames: returns when nobody watches any more."""
+        ...
 
 
-def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, robot: ()) -> None:
+Watch = Callable[[ExitStack, ReplayedRobot], Audience | None]
+"""Opens what watches a replay, for as long as the stack lasts; None: nobody does."""
+
+
+def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, robot: None) -> None:
     """Do it, print, write. Raises StationError."""
     speed = _check(command)
     target = parse_box(command.target) if command.target is not None else None
@@ -109,38 +122,61 @@ def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, r
     if command.same and (not isinstance(source, RecordedRun) or target is not None):
         raise StationError("--same needs a recording (FILE.mcap) and its own target to compare with.", usage=True)
     plan = planned(source, command.tracker, command.shadow)
+    with ExitStack() as stack:
+        robot = ReplayedRobot(source)
+        audience = watch(stack, robot)
+        rows = _played(command, console, source, plan, speed, robot, audience)
+        same = _told(command, console, source, plan, rows)
+        if audience is not None:
+            audience.stay()
+    if command.same and not same:
+        raise StationError(f"The results are not those that were recorded{_why(source)}.")
+
+
+def _played(
+    command: Replay,
+    console: Console,
+    source: Source,
+    plan: ReplayPlan,
+    speed: float | None,
+    robot: ReplayedRobot,
+    audience: Audience | None,
+) -> tuple[_Rows, _Rows]:
+    """All frames, once. What the steering tracker saw, and its shadow."""
     steering, shadowing = _Rows(), _Rows()
     with ExitStack() as stack:
         stack.enter_context(one_thread())
-        robot = ReplayedRobot(source)
-        watching = [*_observers(command, plan, source, stack), *watch(stack, robot)]
+        observers = _observers(command, plan, source, stack)
+        if audience is not None:
+            observers.append(audience.step)
         for replayed in replay(source, plan, kits_of(source, command.memory), speed=speed):
             robot.tracker = replayed.tracker
             steering.note(replayed, shadow=False)
             shadowing.note(replayed, shadow=True)
-            for observer in watching:
+            for observer in observers:
                 observer(replayed.step)
             for text in replayed.step.notices:
                 _say(console, text)
             if len(steering.now.places) == command.max_frames:
                 break
+    return steering, shadowing
+
+
+def _told(command: Replay, console: Console, source: Source, plan: ReplayPlan, rows: tuple[_Rows, _Rows]) -> bool:
+    """Print and write what came of it. Whether it is what was recorded, bit for bit."""
     known = source.known()
     for note in known.notes:
         _say(console, note)
-    told = [
-        figures(series, known.truth, "truth")
-        for series in (steering.now, shadowing.now)
-        if series.places
-    ]  # fmt: skip
-    against = [agreement(paired(rows.now, rows.then)) if rows.then.places else None for rows in (steering, shadowing)]
+    told = [figures(one.now, known.truth, "truth") for one in rows if one.now.places]
+    against = [agreement(paired(one.now, one.then)) if one.then.places else None for one in rows]
     _print(source, told, against)
     if command.json is not None:
         write_json(command.json, _as_json(source, plan, told, against))
     if command.picture is not None:
+        steering, shadowing = rows
         shown = [series for series in (steering.now, shadowing.now, steering.then) if series.places]
         plot_series(command.picture, source.name, shown, known.truth)
-    if command.same and not (against[0] is not None and all(one is None or one.identical for one in against)):
-        raise StationError(f"The results are not those that were recorded{_why(source)}.")
+    return against[0] is not None and all(one is None or one.identical for one in against)
 
 
 def _say(console: Console, text: str) -> None:

@@ -21,7 +21,7 @@ from base_station.types import Box, TrackerResult, TrackingState
 from protocol import ProtocolError, Truth
 from protocol.records import from_map
 
-CAMERA, CALIBRATION = "/camera", "/camera/calibration"
+CAMERA, CALIBRATION, ANNOTATIONS = "/camera", "/camera/calibration", "/camera/annotations"
 STEP, COMMAND, TRACKER, SHADOW, ORDERS = "/step", "/command", "/tracker", "/shadow", "/orders"
 TELEMETRY, TRUTH = "/telemetry", "/truth"
 TRUE_POSE, ODOMETRY_POSE, SLAM_POSE = "/pose/truth", "/pose/odometry", "/pose/slam"

@@ -77,12 +77,16 @@ class Shown:
 
     features_px: np.ndarray | None = None
     """(n, 2), x and y in the whole frame: what it follows."""
-    signature: np.ndarray | None = None
-    """(n,), by what it knows its target: as it is now..."""
-    learned_signature: np.ndarray | None = None
-    """...and as it was learned."""
     bands: int = 0
     """It reads the target's box in so many bands of rows; 0: it does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SignatureView:
+    """By what a tracker knows its target: (n,) numbers as they are now, and as they were learned."""
+
+    now: np.ndarray
+    learned: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +107,15 @@ class Shows(Tracker, Protocol):
 
     def show(self) -> Shown:
         """Of the last `update`."""
+        ...
+
+
+@runtime_checkable
+class Signs(Tracker, Protocol):
+    """A tracker with a signature to show. It is asked some times a second, after a frame."""
+
+    def show_signature(self) -> SignatureView | None:
+        """Of the last `update`; None while the target is not seen."""
         ...
 
 

@@ -10,7 +10,6 @@ import math
 import re
 import signal
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -67,7 +66,7 @@ class Stage:
         try:
             with urllib.request.urlopen(self.address, timeout=5.0) as answer:
                 return answer.status == 200
-        except urllib.error.URLError:
+        except OSError:
             return False
 
     def sees_pictures(self, page: Any) -> None:
@@ -322,6 +321,51 @@ def test_the_pages_pad_and_a_gamepad_drive_while_they_are_held(stage: Stage) -> 
     page.evaluate("() => { window.stick = null }")
     stage.log.wait_for(lambda m: m.wheels_asked == (0, 0), 1.0, since_s=stage.now_s(), what="wheels asked to stand")
     stage.behave("idle")
+
+
+BOXES = "query => [...document.querySelectorAll(query)].map(found => found.getBoundingClientRect().toJSON())"
+
+
+def boxes(page: Any, query: str) -> list[dict[str, float]]:
+    """Of what is shown on the page, in its window's pixels."""
+    return [box for box in page.evaluate(BOXES, query) if box["width"] and box["height"]]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1280, 720)])
+def test_all_that_matters_is_in_view_and_nothing_behind_the_stop(stage: Stage, width: int, height: int) -> None:
+    page = stage.page
+    page.set_viewport_size({"width": width, "height": height})
+    page.wait_for_function("height => innerHeight === height", arg=height)
+    assert page.evaluate("() => document.documentElement.scrollHeight") <= height
+    (bar,) = boxes(page, "#emergency")
+    for part in (".view", ".choices", ".landmarks", ".gauges", ".plots", ".signature"):
+        (box,) = boxes(page, part)
+        assert box["top"] >= 0 and box["bottom"] <= bar["top"] and box["right"] <= width, part
+    (view,), (plots,) = boxes(page, ".view"), boxes(page, ".plots canvas")
+    assert view["width"] / view["height"] == pytest.approx(4 / 3, rel=0.02)
+    assert view["width"] > 0.3 * width and plots["height"] > 170
+
+
+def test_words_at_the_page_cover_nothing_to_press(stage: Stage) -> None:
+    for page_size in ((1440, 900), (390, 844)):
+        page = stage.page
+        page.set_viewport_size({"width": page_size[0], "height": page_size[1]})
+        page.evaluate("() => scrollTo(0, 0)")
+        page.evaluate("() => { zservo.toast('The tracker klt looks now.'); zservo.toast('Target: 120x90 px') }")
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= page_size[0]
+        toasts = boxes(page, ".toast")
+        assert toasts
+        for toast in toasts:
+            for box in boxes(page, "#stop, #release, #scheme, .orders button, .q-field"):
+                apart = (
+                    toast["right"] <= box["left"] or box["right"] <= toast["left"]
+                    or toast["bottom"] <= box["top"] or box["bottom"] <= toast["top"]
+                )  # fmt: skip
+                assert apart, (page_size, toast, box)
+        middle = toasts[-1]["left"] + toasts[-1]["width"] / 2, toasts[-1]["top"] + toasts[-1]["height"] / 2
+        under = page.evaluate("([x, y]) => document.elementFromPoint(x, y).className", list(middle))
+        assert "toast" not in under, "presses do not go through"
+    page.set_viewport_size({"width": 1280, "height": 800})
 
 
 def test_nothing_was_asked_of_any_other_machine(stage: Stage) -> None:

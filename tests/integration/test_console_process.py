@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+import signal
+import struct
+import sys
 import tempfile
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -13,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings
-from tests.helpers import free_ports, wait_until
+from tests.helpers import Programs, free_ports, wait_until, write_pictures
 
 pytest.importorskip("nicegui")
 
@@ -43,7 +47,7 @@ def visit(address: str, path: str = "", data: bytes | None = None, **headers: st
 def up(address: str) -> bool:
     try:
         return visit(address)[0] > 0
-    except urllib.error.URLError:
+    except OSError:  # refused, or not answered in time: the socket listens before the console is there
         return False
 
 
@@ -83,3 +87,34 @@ def test_the_consoles_death_is_told_and_nothing_more(folder: Path, caplog: pytes
         assert console.process is not None
         console.process.kill()
         wait_until(lambda: "The station goes on without it" in caplog.text, 5.0, "a word about it")
+
+
+def looked(address: str) -> dict[str, dict]:
+    """A page's look at the picture: what came with it."""
+    with urllib.request.urlopen(f"{address}picture?after=0", timeout=5.0) as answer:
+        packet = answer.read()
+    (length,) = struct.unpack("<I", packet[:4])
+    return json.loads(packet[4 : 4 + length])
+
+
+def test_a_replay_begins_with_its_first_page_and_keeps_the_last_picture(programs: Programs, tmp_path: Path) -> None:
+    pictures, figures = write_pictures(tmp_path / "pictures", 12), tmp_path / "figures.json"
+    station = programs.start(
+        sys.executable, "-m", "base_station", "replay", str(pictures), "--tracker", "phase", "--json", str(figures),
+        "--console", "--console-port", str(free_ports()),
+    )  # fmt: skip
+    said = station.says("begins when this page is opened", 30.0)
+    address = said.partition("console: ")[2].split()[0]
+    wait_until(lambda: up(address), 20.0, "the console")
+    time.sleep(0.7)  # longer than the whole recording takes
+    assert not figures.exists()
+    looked(address)
+    station.says("at its end", 20.0)
+    assert json.loads(figures.read_text())["trackers"][0]["frames"] == 12
+    time.sleep(2.5)  # longer than a page shows an old picture
+    wait_until(lambda: "head" in looked(address), 5.0, "the last picture")
+    kept = looked(address)
+    assert kept["head"]["seen"]["state"] == "TRACKING"
+    assert kept["status"]["connected"] and kept["status"]["link"].endswith("at its end")
+    station.signal(signal.SIGINT)
+    assert station.exit_code() == 0

@@ -1,5 +1,6 @@
 // Orders to the station over plain HTTP, and short messages to the person at the page.
 
+const MOST_TOASTS = 2;
 const toasts = () => document.getElementById("toasts");
 
 export function toast(text, kind = "info", stay_ms = 5000) {
@@ -10,7 +11,7 @@ export function toast(text, kind = "info", stay_ms = 5000) {
   note.className = `toast ${kind}`;
   note.textContent = text;
   box.append(note);
-  while (box.children.length > 4) box.firstChild.remove();
+  while (box.children.length > MOST_TOASTS) box.firstChild.remove();
   setTimeout(() => note.remove(), stay_ms);
 }
 

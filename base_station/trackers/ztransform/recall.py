@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 
 from base_station.geometry import PinholeCamera
-from base_station.trackers.base import Shown
+from base_station.trackers.base import Shown, SignatureView
 from base_station.trackers.ztransform.landmark import Landmark
 from base_station.trackers.ztransform.lookup import LandmarkMemory
 from base_station.trackers.ztransform.tracker import ZTransformTracker
@@ -70,6 +70,10 @@ class RecallTracker:
     def show(self) -> Shown:
         """See `base.Shows`."""
         return self._tracker.show() if self._seen_s is not None else Shown()
+
+    def show_signature(self) -> SignatureView | None:
+        """See `base.Signs`."""
+        return self._tracker.show_signature() if self._seen_s is not None else None
 
     def close(self) -> None:
         """Let go of the landmark."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from base_station.geometry import PinholeCamera
-from base_station.trackers.base import Shown
+from base_station.trackers.base import Shown, SignatureView
 from base_station.trackers.ztransform.kernels import HEIGHT, KEYSTONE, WIDTH, X, Y
 from base_station.trackers.ztransform.landmark_file import LANDMARK_BYTES
 from base_station.trackers.ztransform.loose import LooseFollower
@@ -125,13 +125,16 @@ class ZTransformTracker:
         return math.floor(min(ends)), math.ceil(max(ends)) + 1
 
     def show(self) -> Shown:
-        """See `base.Shows`. The signature of a target that is seen, and the learned one."""
-        bands = self._settings.rigid.signature.bands
+        """See `base.Shows`."""
+        return Shown(bands=self._settings.rigid.signature.bands)
+
+    def show_signature(self) -> SignatureView | None:
+        """See `base.Signs`."""
         if self._seen is None or self._learned is None:
-            return Shown(bands=bands)
+            return None
         pyramid, lens = self._seen
         now, learned = self._rigid.signatures(pyramid, self._motion.last, lens)
-        return Shown(signature=now, learned_signature=learned, bands=bands)
+        return SignatureView(now=now, learned=learned)
 
     @property
     def landmark_bytes(self) -> int:

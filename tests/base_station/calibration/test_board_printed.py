@@ -79,3 +79,13 @@ def test_what_cannot_be_written_is_said(tmp_path):
             write_board(BOARDS[0], "A4", tmp_path / name)
     with pytest.raises(StationError, match="does not fit on A4"):
         write_board(CalibrationBoard(square_m=0.05), "A4", tmp_path / "board.pdf")
+
+
+def test_a_file_that_is_there_is_overwritten_only_when_asked(tmp_path):
+    file = tmp_path / "board.pdf"
+    file.write_bytes(b"somebody's work")
+    with pytest.raises(StationError, match=r"board\.pdf is there already.*--overwrite") as refused:
+        write_board(BOARDS[0], "A4", file)
+    assert refused.value.usage and file.read_bytes() == b"somebody's work"
+    write_board(BOARDS[0], "A4", file, overwrite=True)
+    assert file.read_bytes().startswith(b"%PDF")

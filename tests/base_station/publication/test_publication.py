@@ -23,7 +23,7 @@ from base_station.publication.schema import MAP, STATE, Addresses, Answer, Head,
 from base_station.publication.service import Publication, unknown_name
 from base_station.publication.states import QUIET_S, Choices, StateMaker, map_of
 from base_station.station import Step
-from base_station.trackers.base import MapView, Shown
+from base_station.trackers.base import MapView, Shown, SignatureView
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 from protocol import Command, FrameStamp, Hello, Telemetry
 from protocol.records import from_bytes
@@ -97,7 +97,7 @@ def test_a_state_comes_back_as_it_went():
     maker.note_step(step_of(1, notices=("look out",)))
     maker.note_step(step_of(5))
     numbers = np.arange(5, dtype=np.float32)
-    state = maker.state(Shown(signature=numbers, learned_signature=numbers))
+    state = maker.state(SignatureView(now=numbers, learned=numbers))
     again = from_bytes(State, encode(state))
     assert again == state
     assert again.passed_over == 3
@@ -243,6 +243,30 @@ def test_pictures_states_and_maps_arrive(context):
         assert pixels == bytes([9]) * 64 * 48
         assert from_bytes(State, kinds[STATE]).tracker == "ztransform"
         assert from_bytes(Map, kinds[MAP]).point_count == 4
+
+
+def test_a_signature_is_asked_for_no_more_often_than_it_is_sent(context):
+    class Signer(Mapper):
+        asked = 0
+
+        def show_signature(self):
+            self.asked += 1
+            return SignatureView(now=np.ones(3), learned=np.zeros(3))
+
+    tracker = Signer()
+    with Publication(Robot(), lambda: CHOICES, tracker=lambda: tracker) as publication:
+        states = subscribed(context, publication.addresses.state)
+        time.sleep(0.1)  # a subscription takes a moment to arrive
+        begun_s, told = time.monotonic(), []
+        while time.monotonic() - begun_s < 0.6:
+            publication.step(step_of())
+            time.sleep(0.01)
+        while states.poll(20):
+            message = states.recv()
+            if message[:1] == STATE:
+                told.append(from_bytes(State, message[1:]).signature)
+    assert 2 <= tracker.asked <= 7
+    assert told and all(one is not None and len(one.now) == 3 * 4 for one in told)
 
 
 @pytest.mark.parametrize("shows", [lambda: 1 / 0, lambda: "a window", lambda frame: None])

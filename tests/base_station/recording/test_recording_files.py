@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import random
+import struct
 import sys
 import threading
 from collections.abc import Iterator
@@ -159,12 +160,46 @@ def test_the_fields_own_reader_finds_the_fields_own_schemas(recorded: Path):
     assert names[topics.CAMERA] == "foxglove.RawImage"
     assert names[topics.CALIBRATION] == "foxglove.CameraCalibration"
     assert names[topics.SLAM_POSE] == "foxglove.PoseInFrame"
+    assert names[topics.ANNOTATIONS] == "foxglove.ImageAnnotations"
     assert names[topics.TRACKER] == "zservo.TrackerResult"
     counts = {
         names[summary.channels[number].topic]: count
         for number, count in summary.statistics.channel_message_counts.items()
     }
     assert counts["foxglove.RawImage"] == 60
+
+
+def test_each_picture_has_its_box_over_it_at_its_own_time(tmp_path: Path):
+    """As a viewer puts them together: equal times, pixels of the recorded picture, also where that is a band."""
+    band = a_step(2)
+    image = band.frame.image[20:90]
+    band = replace(band, frame=replace(band.frame, image=image, first_row=20, full_height=120), shadow=TRACKED)
+    lost = a_step(3, result=TrackerResult(state=TrackingState.LOST, reason="gone"))
+    path = record(tmp_path / "run.mcap", [a_step(1), band, lost])
+    found: dict[str, list[tuple[int, protobuf.Fields]]] = {topics.CAMERA: [], topics.ANNOTATIONS: []}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(topics=list(found)):
+            found[channel.topic].append((message.log_time, protobuf.fields_of(message.data)))
+    pictures, annotations = found.values()
+    assert [when for when, _ in pictures] == [when for when, _ in annotations]
+    # by the schema: picture's timestamp 1; annotations' points 2, texts 3, timestamp 5; points' own 3; x 1 and y 2
+    assert [fields[1] for _, fields in pictures] == [fields[5] for _, fields in annotations]
+
+    def corners(fields: protobuf.Fields) -> list[list[tuple[float, float]]]:
+        boxes = [protobuf.fields_of(box)[3] for box in fields.get(2, ())]
+        return [[(at[1], at[2]) for at in map(doubles, points)] for points in boxes]
+
+    def doubles(data: bytes) -> dict[int, float]:
+        named = protobuf.fields_of(data)
+        return {number: struct.unpack("<d", named[number][0])[0] if number in named else 0.0 for number in (1, 2)}
+
+    box = TRACKED.box
+    assert box is not None
+    right, low = box.x + box.width, box.y + box.height
+    drawn = [(box.x, box.y), (right, box.y), (right, low), (box.x, low)]
+    assert corners(annotations[0][1]) == [drawn]
+    assert corners(annotations[1][1]) == [[(x, y - 20) for x, y in drawn]] * 2
+    assert corners(annotations[2][1]) == [] and len(annotations[2][1][3]) == 1
 
 
 def test_of_a_file_that_is_cut_short_the_front_is_read(recorded: Path, tmp_path: Path):

@@ -170,6 +170,17 @@ def test_an_unknown_tracker_is_a_mistake_of_usage(otb: Path):
     assert caught.value.usage
 
 
+def test_a_tracker_that_gives_no_result_is_told_without_a_robot(otb: Path, tmp_path: Path):
+    own = tmp_path / "none.py"
+    own.write_text(
+        "class Mine:\n    def learn(self, frame, target): pass\n    def update(self, frame): pass\n"
+        "    def close(self): pass\n"
+    )
+    with pytest.raises(StationError, match=r"Mine\.update returned NoneType, not a TrackerResult") as caught:
+        run(otb, f"{own}:Mine")
+    assert "robot" not in str(caught.value)
+
+
 def test_a_tracker_of_ones_own_that_fails_is_named_with_its_line(otb: Path, tmp_path: Path):
     own = tmp_path / "mine.py"
     own.write_text(

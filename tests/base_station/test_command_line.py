@@ -1,0 +1,52 @@
+"""A mistyped command line is told in one sentence, about the command that was meant and about nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+from base_station.cli import EXIT_DONE, EXIT_USAGE, main
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("run --behavior follow", "no option --behavior; did you mean --behaviour? base-station run --help"),
+        ("run --max_framse=3", "no option --max_framse; did you mean --max-frames?"),
+        ("replay x.mcap --trakcer phase", "no option --trakcer; did you mean --tracker? base-station replay --help"),
+        ("compare x --trakers a,b", "did you mean --trackers? base-station compare --help"),
+        ("calibrate board b.pdf --papr A4", "did you mean --paper? base-station calibrate board --help"),
+        ("calibrate --squre-mm 20", "did you mean --square-mm? base-station calibrate live --help"),
+        ("calibrate board b.pdf --images x", "no option --images. base-station calibrate board --help"),
+        ("calibrate bord b.pdf", "no command 'bord'; did you mean board?"),
+        ("evaluate tracking x --trackr y", "did you mean --tracker? base-station evaluate tracking --help"),
+        ("landmarks lern door", "no command 'lern'; did you mean learn? base-station landmarks --help"),
+        ("rnu", "no command 'rnu'; did you mean run? base-station --help"),
+        ("zzz", "there are run, replay, compare"),
+        ("--record x run", "Name a command before --record"),
+        ("run extra", "'extra' is too much here. base-station run --help"),
+        ("run -Z", "no option -Z. base-station run --help"),
+        ("replay --source x.mcap", "no option --source. base-station replay --help"),
+    ],
+)
+def test_a_typo_is_one_line(arguments: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments.split()) == EXIT_USAGE
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert said in error
+    assert len(error.splitlines()) == 1, error
+
+
+def test_underscores_and_switched_off_flags_are_known(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--max_frames", "3", "--no-rows", "--print-config"]) == EXIT_DONE
+    assert "max-frames = 3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["calibrate", "board", "--help"]])
+def test_help_is_no_mistake(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == EXIT_DONE
+    assert "usage: base-station" in capsys.readouterr().out
+
+
+def test_a_value_that_is_none_sends_to_the_commands_own_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--port", "abc"]) == EXIT_USAGE
+    assert "base-station run --help" in capsys.readouterr().err
