@@ -1,9 +1,10 @@
 """The compiled inner loops of alignment: how a patch differs from the learned one, block by block.
 
-A patch (cells, cells) is cut into square blocks, numbered row by row. Each block has its own offset and gain of light;
-what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step, less what
-a change of gain would do as well. All of that lies cell by cell as the patch does, so that whole rows of cells are
-reckoned side by side; only their sums are cut into blocks. `reference.py` has the plain meaning.
+A patch (cells, cells) is cut into square blocks, numbered row by row. Each block has its own offset and gain of
+light; what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step
+and with appearance, less what a change of gain would do as well. All of that lies cell by cell as the patch does, so
+that whole rows of cells are reckoned side by side; only their sums are cut into blocks. `reference.py` has the plain
+meaning.
 """
 
 from __future__ import annotations
@@ -104,13 +105,13 @@ def likeness(compared, energies):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def robust_step(deviations, compared, energies, strong, changes, hessians, prior, step):
+def robust_step(deviations, compared, energies, strong, changes, products, prior, step):
     """The step that brings the placement to the learned one, into `step`; False when no block is shown whole.
 
     Least squares over all blocks. A block counts the less, the worse it fits whatever its light: what covers a part of
     the target fits nowhere. `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the
-    median of `energies`. `changes`: (5, cells, cells), `hessians`: (5, 5, blocks) of them. `prior`: (5,) 1 / variance
-    of a step, against the misfit's variance.
+    median of `energies`. `changes`: (n, cells, cells), the step's first, the others' parts are left out of it;
+    `products`: (blocks, n, n) of any two. `prior`: (n,) 1 / variance of a part, against the misfit's variance.
     """
     blocks, cells = len(energies), len(deviations)
     across = round(math.sqrt(blocks))
@@ -147,13 +148,20 @@ def robust_step(deviations, compared, energies, strong, changes, hessians, prior
             line = deviations[y]
             for x in range(cells):
                 line[x] *= row_weights[x]
-    hessian, slope = np.zeros((FREEDOMS, FREEDOMS)), np.zeros(FREEDOMS)
-    for k in range(FREEDOMS):
+    parts = len(changes)
+    sums, hessian, slope = np.zeros(parts * parts, np.float32), np.empty((parts, parts)), np.empty(parts)
+    for b in range(blocks):
+        here = products[b].ravel()
+        for i in range(len(sums)):
+            sums[i] += gains[b] * here[i]
+    for k in range(parts):
         slope[k] = -inner(changes[k].ravel(), deviations.ravel())
         for j in range(k + 1):
-            hessian[k, j] = inner(hessians[k, j], gains)
+            hessian[k, j] = sums[k * parts + j]
         hessian[k, k] += prior[k] * usual
-    solve(hessian, slope, step)
+    all_parts = np.empty(parts)
+    solve(hessian, slope, all_parts)
+    step[:] = all_parts[:FREEDOMS]
     return True
 
 
@@ -183,21 +191,22 @@ def solve(matrix, right, out):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def settle(
-    image, table, where, lens, placement, planes, block_sums, strong, prior, steps, repeat_px, farthest_px,
-    largest_step, judged_part, alike, noisy_below, fewest_pixels,
+    image, table, where, lens, placement, planes, block_sums, products, strong, prior, steps, repeat_px, exact_px,
+    farthest_px, largest_step, judged_part, alike, noisy_below, fewest_pixels,
 ):  # fmt: skip
     """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
 
-    Read, compare, step; again while a step is longer than `repeat_px`. With `farthest_px` below ANYWHERE_PX the target
-    is taken to be near: confidence is 0 where steps lead further away, do not end, or the first look has little in
-    common with it, from where they may lead anywhere. `planes`, `block_sums`: see `alignment`. `table`:
-    running sums of the whole frame, or nothing, and where they are (see `boxes`); only a placement that sticks out of
-    the frame needs them. `image`: the frame, whose noise is measured where confidence is below `noisy_below`.
+    Read, compare, step; again while a step is longer than `repeat_px`, or than `exact_px` in so far as what is seen
+    differs from what was learned: of what is blurred a step is by some tenths too short or too long. With
+    `farthest_px` below ANYWHERE_PX the target is taken to be near: confidence is 0 where steps lead further away, do
+    not end, or the first look has little in common with it, from where they may lead anywhere. `planes` to `prior`:
+    see `alignment`. `table`: running sums of the whole frame, or nothing, and where they are (see `boxes`); only a
+    placement that sticks out of the frame needs them. `image`: the frame, whose noise is measured where confidence is
+    below `noisy_below`.
     """
     cells, blocks, horizon_px = planes.shape[1], block_sums.shape[1], lens[3]
-    learned, changes, slopes = planes[0], planes[1 : 1 + FREEDOMS], planes[1 + FREEDOMS :]
+    learned, slopes, changes = planes[0], planes[1:3], planes[3:]
     energies, slope_energies = block_sums[0], block_sums[1]
-    hessians = block_sums[2:].reshape(FREEDOMS, FREEDOMS, blocks)
     patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
     shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
     part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
@@ -221,15 +230,16 @@ def settle(
             if farthest_px < ANYWHERE_PX:
                 return 0.0, share, 0.0
             break
-        if turn == 0 and farthest_px < ANYWHERE_PX and likeness(compared, energies) < LEAST_ALIKE:
+        like = likeness(compared, energies)
+        if turn == 0 and farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
             return 0.0, share, 0.0
         step[:] = 0.0
-        robust_step(deviations, compared, energies, strong, changes, hessians, prior, step)
+        robust_step(deviations, compared, energies, strong, changes, products, prior, step)
         long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
         move(placement, step, largest_step)
         if max(abs(placement[X] - start_x), abs(placement[Y] - start_y)) > farthest_px:
             return 0.0, share, 0.0
-        if long_px < repeat_px:
+        if long_px < repeat_px and (turn == steps - 1 or long_px * (1 - like) < exact_px):
             break
     confidence, seen_alike = resemblance(
         patch, compared, energies, slopes, slope_energies, judged_part, alike, 0.0
