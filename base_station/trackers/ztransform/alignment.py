@@ -19,8 +19,9 @@ from base_station.trackers.ztransform.alignment_kernels import (
     MORE_TO_READ,
     are_shown,
     compare_blocks,
-    robust_step,
+    least_squares,
     settle,
+    weigh_blocks,
 )
 from base_station.trackers.ztransform.appearance import appearances
 from base_station.trackers.ztransform.kernels import FREEDOMS, WIDTH, move
@@ -79,7 +80,7 @@ class _Level:
     block_sums: np.ndarray
     """float32 (2, blocks): energy of the deviations, of the slopes."""
     products: np.ndarray
-    """float32 (blocks, n, n): of any two changes."""
+    """float32 (n (n + 1) / 2, blocks): of any two changes, see `alignment_kernels`."""
     strong: float
     """Median of the blocks' energies."""
     prior: np.ndarray
@@ -158,11 +159,11 @@ class Aligner:
         slope_directions(patch, slopes, np.empty_like(patch))
         planes = np.concatenate([learned[None], slopes, np.stack(kept)]).astype(np.float32)
         block_sums = np.stack([energies.ravel(), self._in_blocks(np.square(slopes).sum(0)).ravel()]).astype(np.float32)
-        products = np.array([[self._in_blocks(one * other).ravel() for one in kept] for other in kept], np.float32)
+        pairs = [one * other for k, one in enumerate(kept) for other in kept[: k + 1]]
+        products = np.array([self._in_blocks(pair).ravel() for pair in pairs], np.float32)
         likely = np.ones(len(kept))
         likely[:FREEDOMS] = self._settings.likely_step
         prior = self._settings.doubt / np.square(likely)
-        products = np.ascontiguousarray(products.transpose(2, 0, 1))
         return _Level(smoothing, planes, block_sums, products, float(np.median(energies)), prior)
 
     @property
@@ -183,9 +184,11 @@ class Aligner:
     def _step(self, level: _Level, placement: np.ndarray, patch: np.ndarray, shown: np.ndarray) -> None:
         """Move the placement in place."""
         step, deviations, compared = np.zeros(FREEDOMS), np.empty_like(patch), np.empty((2, len(shown)), np.float32)
-        planes, energies = level.planes, level.block_sums[0]
+        planes, energies, gains = level.planes, level.block_sums[0], np.empty(len(shown), np.float32)
         compare_blocks(_smoothed(patch, level.smoothing), shown, planes[0], deviations, compared)
-        robust_step(deviations, compared, energies, level.strong, planes[3:], level.products, level.prior, step)
+        usual = weigh_blocks(deviations, compared, energies, level.strong, gains)
+        if usual > 0:
+            least_squares(deviations, gains, usual, planes[3:], level.products, level.prior, FREEDOMS, step)
         move(placement, step, self._settings.largest_step)
 
 

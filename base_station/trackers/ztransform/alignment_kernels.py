@@ -105,13 +105,12 @@ def likeness(compared, energies):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def robust_step(deviations, compared, energies, strong, changes, products, prior, step):
-    """The step that brings the placement to the learned one, into `step`; False when no block is shown whole.
+def weigh_blocks(deviations, compared, energies, strong, gains):
+    """How much each block counts; returns the usual misfit, 0 when no block is shown whole.
 
-    Least squares over all blocks. A block counts the less, the worse it fits whatever its light: what covers a part of
-    the target fits nowhere. `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the
-    median of `energies`. `changes`: (n, cells, cells), the step's first, the others' parts are left out of it;
-    `products`: (blocks, n, n) of any two. `prior`: (n,) 1 / variance of a part, against the misfit's variance.
+    A block counts the less, the worse it fits whatever its light: what covers a part of the target fits nowhere.
+    `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the median of `energies`. Into
+    `gains` (blocks,): what the `products` of the learned changes are weighed by.
     """
     blocks, cells = len(energies), len(deviations)
     across = round(math.sqrt(blocks))
@@ -129,13 +128,13 @@ def robust_step(deviations, compared, energies, strong, changes, products, prior
                 shown_gains[firm] = gain
                 firm += 1
     if n == 0:
-        return False
+        return np.float32(0)
     usual = np.float32(np.median(shown_misfits[:n]) + ROUNDING)
     whole_gain = np.float32(LEAST_GAIN)
     if firm > 0:
         whole_gain = np.float32(max(float(np.median(shown_gains[:firm])), LEAST_GAIN))
     trust, most = np.float32(0.2 * strong + 1e-3), np.float32(LARGEST_GAIN) * whole_gain
-    gains, row_weights = np.empty(blocks, np.float32), np.empty(cells, np.float32)
+    row_weights = np.empty(cells, np.float32)
     for b in range(blocks):
         gain = (compared[0, b] + trust * whole_gain) / (energies[b] + trust)
         gain = min(max(gain, np.float32(0)), most)
@@ -148,21 +147,27 @@ def robust_step(deviations, compared, energies, strong, changes, products, prior
             line = deviations[y]
             for x in range(cells):
                 line[x] *= row_weights[x]
-    parts = len(changes)
-    sums, hessian, slope = np.zeros(parts * parts, np.float32), np.empty((parts, parts)), np.empty(parts)
-    for b in range(blocks):
-        here = products[b].ravel()
-        for i in range(len(sums)):
-            sums[i] += gains[b] * here[i]
+    return usual
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def least_squares(deviations, gains, usual, changes, products, prior, parts, step):
+    """The step that brings the placement to the learned one, into `step`, when only so many parts may have changed.
+
+    `deviations`, `gains`, `usual`: see `weigh_blocks`. `changes`: (n, cells, cells), those with the step first;
+    `products`: (n (n + 1) / 2, blocks) of any two, those of the first with itself, of the second with the first and
+    with itself, and so on. `prior`: (n,) 1 / variance of a part, against the misfit's variance.
+    """
+    hessian, slope, found = np.empty((parts, parts)), np.empty(parts), np.empty(parts)
+    pair = 0
     for k in range(parts):
         slope[k] = -inner(changes[k].ravel(), deviations.ravel())
         for j in range(k + 1):
-            hessian[k, j] = sums[k * parts + j]
+            hessian[k, j] = inner(products[pair], gains)
+            pair += 1
         hessian[k, k] += prior[k] * usual
-    all_parts = np.empty(parts)
-    solve(hessian, slope, all_parts)
-    step[:] = all_parts[:FREEDOMS]
-    return True
+    solve(hessian, slope, found)
+    step[:] = found[:FREEDOMS]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -209,6 +214,7 @@ def settle(
     energies, slope_energies = block_sums[0], block_sums[1]
     patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
     shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
+    gains = np.empty(blocks, np.float32)
     part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
     sums, is_read, share, step = np.empty((0, 0), np.uint16), False, 1.0, np.zeros(FREEDOMS)
     for turn in range(steps + 1):
@@ -233,9 +239,11 @@ def settle(
         like = likeness(compared, energies)
         if turn == 0 and farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
             return 0.0, share, 0.0
-        step[:] = 0.0
-        robust_step(deviations, compared, energies, strong, changes, products, prior, step)
-        long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
+        usual, long_px = weigh_blocks(deviations, compared, energies, strong, gains), 0.0
+        for parts in (FREEDOMS, len(changes)):
+            if usual > 0 and long_px < repeat_px:
+                least_squares(deviations, gains, usual, changes, products, prior, parts, step)
+                long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
         move(placement, step, largest_step)
         if max(abs(placement[X] - start_x), abs(placement[Y] - start_y)) > farthest_px:
             return 0.0, share, 0.0
