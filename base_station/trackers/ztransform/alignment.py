@@ -1,9 +1,10 @@
 """The last step of following a rigid target: the patch itself, cell by cell, held against the learned one.
 
-The signature's bands have lost what its cells knew: a part that is covered, a picture that is mirrored, the last tenth
-of a pixel. So the patch is cut into blocks, each with its own offset and gain of light. One step of Gauss and Newton
-(the inverse compositional one of Baker and Matthews, IJCV 2004: all derivatives are learned) weighs each block by how
-well it fits. How sure one can be is told by the better half of the blocks: up to half may be covered.
+The signature's bands have lost what its cells knew: a part that is covered, a picture that is mirrored, the last
+tenth of a pixel. So the patch is cut into blocks, each with its own offset and gain of light. One step of Gauss and
+Newton (the inverse compositional one of Baker and Matthews, IJCV 2004: all derivatives are learned) weighs each block
+by how well it fits. What changes a picture without moving it (`appearance`) is estimated with the step, and
+forgotten. How sure one can be is told by the better half of the blocks: up to half may be covered.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from base_station.trackers.ztransform.alignment_kernels import (
     MORE_TO_READ,
     are_shown,
     compare_blocks,
-    robust_step,
+    least_squares,
     settle,
+    weigh_blocks,
 )
+from base_station.trackers.ztransform.appearance import appearances
 from base_station.trackers.ztransform.kernels import FREEDOMS, WIDTH, move
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.resemblance import slope_directions
@@ -43,7 +46,9 @@ class AlignmentSettings:
     largest_step: float = 0.1
     """Of width and height."""
     repeat_px: float = 0.2
-    """After a step longer than this comes another one."""
+    """After a step longer than this comes another one..."""
+    exact_px: float = 0.001
+    """... and after one longer than this over 1 - the correlation with what was learned, while steps are left."""
     steps: int = 5
     """At most, of the fine ones."""
     near_cells: float = 1.0
@@ -70,12 +75,16 @@ class _Level:
 
     smoothing: float
     planes: np.ndarray
-    """float32 (8, cells, cells): deviations from each block's mean, their changes with the five parts of a step, the
-    directions of the slopes across and down."""
+    """float32 (3 + n, cells, cells): deviations from each block's mean; the directions of the slopes across and down;
+    the n changes of the deviations, with the five parts of a step and with appearance."""
     block_sums: np.ndarray
-    """float32 (27, blocks): energy of the deviations, of the slopes, and the products of any two changes."""
+    """float32 (2, blocks): energy of the deviations, of the slopes."""
+    products: np.ndarray
+    """float32 (n (n + 1) / 2, blocks): of any two changes, see `alignment_kernels`."""
     strong: float
     """Median of the blocks' energies."""
+    prior: np.ndarray
+    """(n,): 1 / variance of each change, against the misfit's variance."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +103,9 @@ class Aligner:
 
     def __init__(self, settings: AlignmentSettings, reader: SignatureReader) -> None:
         self._settings, self._reader = settings, reader
-        self._prior = settings.doubt / np.square(np.array(settings.likely_step))
 
     def learn(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> None:
-        """Remember the patch, and how it changes when the placement moves."""
+        """Remember the patch, and how it changes when the placement moves, and in other light."""
         settings, probes = self._settings, []
         for freedom, reach in enumerate((1, 1, 2, 2, 4)):
             step = np.zeros(FREEDOMS)
@@ -105,7 +113,9 @@ class Aligner:
             ahead, back = (self._means(pyramid, _moved(placement, s), lens)[0] for s in (step, -step))
             probes.append((ahead - back) / (2 * step[freedom]))
         patch = self._means(pyramid, placement, lens)[0]
-        self._fine, self._coarse = (self._level(patch, probes, s) for s in (0.0, settings.smoothing_cells))
+        looks = appearances(pyramid, placement, lambda seen: self._means(seen, placement, lens)[0])
+        self._fine = self._level(patch, probes + looks, 0.0)
+        self._coarse = self._level(patch, probes, settings.smoothing_cells)
 
     def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_near: bool = False) -> Alignment:
         """From a few tenths of a cell away to where it is exactly. `is_near`: with confidence 0 where that is not near,
@@ -117,9 +127,9 @@ class Aligner:
         settings, fine, placement, source = self._settings, self._fine, placement.copy(), _NOTHING
         while True:
             confidence, share, alike = settle(
-                pyramid.image, *source, lens, placement, fine.planes, fine.block_sums, fine.strong, self._prior,
-                steps, settings.repeat_px, farthest_px, settings.largest_step, settings.judged_part,
-                settings.alike, settings.noisy_below, settings.fewest_pixels,
+                pyramid.image, *source, lens, placement, fine.planes, fine.block_sums, fine.products, fine.strong,
+                fine.prior, steps, settings.repeat_px, settings.exact_px, farthest_px, settings.largest_step,
+                settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
             )  # fmt: skip
             if share != MORE_TO_READ:
                 return Alignment(placement, confidence, share, alike)
@@ -138,8 +148,8 @@ class Aligner:
     def _means(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         return self._reader.means(pyramid, placement, lens, self._reader.cells)
 
-    def _level(self, patch: np.ndarray, probes: list[np.ndarray], smoothing: float) -> _Level:
-        learned, *changes = (self._deviations(p, smoothing) for p in (patch, *probes))
+    def _level(self, patch: np.ndarray, changes: list[np.ndarray], smoothing: float) -> _Level:
+        learned, *changes = (self._deviations(p, smoothing) for p in (patch, *changes))
         energies = self._in_blocks(np.square(learned))
         as_light = [self._in_blocks(change * learned) / (energies + 1e-3) for change in changes]
         kept = [
@@ -147,10 +157,14 @@ class Aligner:
         ]
         slopes = np.empty((2, *patch.shape), np.float32)
         slope_directions(patch, slopes, np.empty_like(patch))
-        products = [self._in_blocks(one * other).ravel() for one in kept for other in kept]
-        block_sums = [energies.ravel(), self._in_blocks(np.square(slopes).sum(0)).ravel(), *products]
-        planes = np.concatenate([np.stack([learned, *kept]), slopes]).astype(np.float32)
-        return _Level(smoothing, planes, np.stack(block_sums).astype(np.float32), float(np.median(energies)))
+        planes = np.concatenate([learned[None], slopes, np.stack(kept)]).astype(np.float32)
+        block_sums = np.stack([energies.ravel(), self._in_blocks(np.square(slopes).sum(0)).ravel()]).astype(np.float32)
+        pairs = [one * other for k, one in enumerate(kept) for other in kept[: k + 1]]
+        products = np.array([self._in_blocks(pair).ravel() for pair in pairs], np.float32)
+        likely = np.ones(len(kept))
+        likely[:FREEDOMS] = self._settings.likely_step
+        prior = self._settings.doubt / np.square(likely)
+        return _Level(smoothing, planes, block_sums, products, float(np.median(energies)), prior)
 
     @property
     def _side(self) -> int:
@@ -170,12 +184,11 @@ class Aligner:
     def _step(self, level: _Level, placement: np.ndarray, patch: np.ndarray, shown: np.ndarray) -> None:
         """Move the placement in place."""
         step, deviations, compared = np.zeros(FREEDOMS), np.empty_like(patch), np.empty((2, len(shown)), np.float32)
-        planes, sums = level.planes, level.block_sums
+        planes, energies, gains = level.planes, level.block_sums[0], np.empty(len(shown), np.float32)
         compare_blocks(_smoothed(patch, level.smoothing), shown, planes[0], deviations, compared)
-        hessians = sums[2:].reshape(FREEDOMS, FREEDOMS, -1)
-        robust_step(
-            deviations, compared, sums[0], level.strong, planes[1 : 1 + FREEDOMS], hessians, self._prior, step
-        )  # fmt: skip
+        usual = weigh_blocks(deviations, compared, energies, level.strong, gains)
+        if usual > 0:
+            least_squares(deviations, gains, usual, planes[3:], level.products, level.prior, FREEDOMS, step)
         move(placement, step, self._settings.largest_step)
 
 

@@ -1,9 +1,10 @@
 """The compiled inner loops of alignment: how a patch differs from the learned one, block by block.
 
-A patch (cells, cells) is cut into square blocks, numbered row by row. Each block has its own offset and gain of light;
-what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step, less what
-a change of gain would do as well. All of that lies cell by cell as the patch does, so that whole rows of cells are
-reckoned side by side; only their sums are cut into blocks. `reference.py` has the plain meaning.
+A patch (cells, cells) is cut into square blocks, numbered row by row. Each block has its own offset and gain of
+light; what is learned of a block is its deviation from its mean, and how that changes with the five parts of a step
+and with appearance, less what a change of gain would do as well. All of that lies cell by cell as the patch does, so
+that whole rows of cells are reckoned side by side; only their sums are cut into blocks. `reference.py` has the plain
+meaning.
 """
 
 from __future__ import annotations
@@ -104,13 +105,12 @@ def likeness(compared, energies):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def robust_step(deviations, compared, energies, strong, changes, hessians, prior, step):
-    """The step that brings the placement to the learned one, into `step`; False when no block is shown whole.
+def weigh_blocks(deviations, compared, energies, strong, gains):
+    """How much each block counts; returns the usual misfit, 0 when no block is shown whole.
 
-    Least squares over all blocks. A block counts the less, the worse it fits whatever its light: what covers a part of
-    the target fits nowhere. `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the
-    median of `energies`. `changes`: (5, cells, cells), `hessians`: (5, 5, blocks) of them. `prior`: (5,) 1 / variance
-    of a step, against the misfit's variance.
+    A block counts the less, the worse it fits whatever its light: what covers a part of the target fits nowhere.
+    `deviations`: as `compare_blocks` leaves them; they are weighed in place. `strong`: the median of `energies`. Into
+    `gains` (blocks,): what the `products` of the learned changes are weighed by.
     """
     blocks, cells = len(energies), len(deviations)
     across = round(math.sqrt(blocks))
@@ -128,13 +128,13 @@ def robust_step(deviations, compared, energies, strong, changes, hessians, prior
                 shown_gains[firm] = gain
                 firm += 1
     if n == 0:
-        return False
+        return np.float32(0)
     usual = np.float32(np.median(shown_misfits[:n]) + ROUNDING)
     whole_gain = np.float32(LEAST_GAIN)
     if firm > 0:
         whole_gain = np.float32(max(float(np.median(shown_gains[:firm])), LEAST_GAIN))
     trust, most = np.float32(0.2 * strong + 1e-3), np.float32(LARGEST_GAIN) * whole_gain
-    gains, row_weights = np.empty(blocks, np.float32), np.empty(cells, np.float32)
+    row_weights = np.empty(cells, np.float32)
     for b in range(blocks):
         gain = (compared[0, b] + trust * whole_gain) / (energies[b] + trust)
         gain = min(max(gain, np.float32(0)), most)
@@ -147,14 +147,27 @@ def robust_step(deviations, compared, energies, strong, changes, hessians, prior
             line = deviations[y]
             for x in range(cells):
                 line[x] *= row_weights[x]
-    hessian, slope = np.zeros((FREEDOMS, FREEDOMS)), np.zeros(FREEDOMS)
-    for k in range(FREEDOMS):
+    return usual
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def least_squares(deviations, gains, usual, changes, products, prior, parts, step):
+    """The step that brings the placement to the learned one, into `step`, when only so many parts may have changed.
+
+    `deviations`, `gains`, `usual`: see `weigh_blocks`. `changes`: (n, cells, cells), those with the step first;
+    `products`: (n (n + 1) / 2, blocks) of any two, those of the first with itself, of the second with the first and
+    with itself, and so on. `prior`: (n,) 1 / variance of a part, against the misfit's variance.
+    """
+    hessian, slope, found = np.empty((parts, parts)), np.empty(parts), np.empty(parts)
+    pair = 0
+    for k in range(parts):
         slope[k] = -inner(changes[k].ravel(), deviations.ravel())
         for j in range(k + 1):
-            hessian[k, j] = inner(hessians[k, j], gains)
+            hessian[k, j] = inner(products[pair], gains)
+            pair += 1
         hessian[k, k] += prior[k] * usual
-    solve(hessian, slope, step)
-    return True
+    solve(hessian, slope, found)
+    step[:] = found[:FREEDOMS]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -183,23 +196,25 @@ def solve(matrix, right, out):
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def settle(
-    image, table, where, lens, placement, planes, block_sums, strong, prior, steps, repeat_px, farthest_px,
-    largest_step, judged_part, alike, noisy_below, fewest_pixels,
+    image, table, where, lens, placement, planes, block_sums, products, strong, prior, steps, repeat_px, exact_px,
+    farthest_px, largest_step, judged_part, alike, noisy_below, fewest_pixels,
 ):  # fmt: skip
     """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
 
-    Read, compare, step; again while a step is longer than `repeat_px`. With `farthest_px` below ANYWHERE_PX the target
-    is taken to be near: confidence is 0 where steps lead further away, do not end, or the first look has little in
-    common with it, from where they may lead anywhere. `planes`, `block_sums`: see `alignment`. `table`:
-    running sums of the whole frame, or nothing, and where they are (see `boxes`); only a placement that sticks out of
-    the frame needs them. `image`: the frame, whose noise is measured where confidence is below `noisy_below`.
+    Read, compare, step; again while a step is longer than `repeat_px`, or than `exact_px` in so far as what is seen
+    differs from what was learned: of what is blurred a step is by some tenths too short or too long. With
+    `farthest_px` below ANYWHERE_PX the target is taken to be near: confidence is 0 where steps lead further away, do
+    not end, or the first look has little in common with it, from where they may lead anywhere. `planes` to `prior`:
+    see `alignment`. `table`: running sums of the whole frame, or nothing, and where they are (see `boxes`); only a
+    placement that sticks out of the frame needs them. `image`: the frame, whose noise is measured where confidence is
+    below `noisy_below`.
     """
     cells, blocks, horizon_px = planes.shape[1], block_sums.shape[1], lens[3]
-    learned, changes, slopes = planes[0], planes[1 : 1 + FREEDOMS], planes[1 + FREEDOMS :]
+    learned, slopes, changes = planes[0], planes[1:3], planes[3:]
     energies, slope_energies = block_sums[0], block_sums[1]
-    hessians = block_sums[2:].reshape(FREEDOMS, FREEDOMS, blocks)
     patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
     shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
+    gains = np.empty(blocks, np.float32)
     part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
     sums, is_read, share, step = np.empty((0, 0), np.uint16), False, 1.0, np.zeros(FREEDOMS)
     for turn in range(steps + 1):
@@ -221,15 +236,18 @@ def settle(
             if farthest_px < ANYWHERE_PX:
                 return 0.0, share, 0.0
             break
-        if turn == 0 and farthest_px < ANYWHERE_PX and likeness(compared, energies) < LEAST_ALIKE:
+        like = likeness(compared, energies)
+        if turn == 0 and farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
             return 0.0, share, 0.0
-        step[:] = 0.0
-        robust_step(deviations, compared, energies, strong, changes, hessians, prior, step)
-        long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
+        usual, long_px = weigh_blocks(deviations, compared, energies, strong, gains), 0.0
+        for parts in (FREEDOMS, len(changes)):
+            if usual > 0 and long_px < repeat_px:
+                least_squares(deviations, gains, usual, changes, products, prior, parts, step)
+                long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
         move(placement, step, largest_step)
         if max(abs(placement[X] - start_x), abs(placement[Y] - start_y)) > farthest_px:
             return 0.0, share, 0.0
-        if long_px < repeat_px:
+        if long_px < repeat_px and (turn == steps - 1 or long_px * (1 - like) < exact_px):
             break
     confidence, seen_alike = resemblance(
         patch, compared, energies, slopes, slope_energies, judged_part, alike, 0.0

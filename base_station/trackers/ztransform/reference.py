@@ -265,10 +265,10 @@ def blocks_of(patch: np.ndarray, blocks: int) -> np.ndarray:
 def robust_step(
     cut: np.ndarray, shown: np.ndarray, learned: np.ndarray, changes: np.ndarray, prior: np.ndarray
 ) -> np.ndarray:
-    """The step (5,) that takes a patch, cut into blocks, back to the learned one.
+    """What takes a patch, cut into blocks, back to the learned one, (parts,): the step first, then appearance.
 
-    `learned` (blocks, n): deviations from each block's mean; `changes` (blocks, 5, n): what each part of a step adds to
-    them that no gain of light could; `shown` (blocks,) bool: wholly in the frame; `prior` (5,): 1 / variance of a step.
+    `learned` (blocks, n): deviations from each block's mean; `changes` (blocks, parts, n): what each part adds to them
+    that no gain of light could; `shown` (blocks,) bool: wholly in the frame; `prior` (parts,): 1 / variance of each.
     """
     deviations = cut - cut.mean(1, keepdims=True)
     energies = (learned**2).sum(1)

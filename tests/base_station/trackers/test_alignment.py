@@ -70,9 +70,9 @@ def test_kernels_are_their_definitions(seed):
     learned_cut = reference.blocks_of(learned, blocks)
     learned_cut -= learned_cut.mean(1, keepdims=True)
     energies = (learned_cut**2).sum(1)
-    changes = rng.normal(0, 9, (36, 5, cut.shape[1])).astype(np.float32)
+    changes = rng.normal(0, 9, (36, 7, cut.shape[1])).astype(np.float32)
     changes -= changes.mean(2, keepdims=True)
-    prior, step, strong = np.array([1e3, 1e3, 1e2, 1e2, 10]), np.zeros(5), float(np.median(energies))
+    prior, step, strong = np.array([1e3, 1e3, 1e2, 1e2, 10, 4, 4]), np.zeros(5), float(np.median(energies))
     deviations, compared = np.empty_like(patch), np.empty((2, 36), np.float32)
     compare = shown, as_patch(learned_cut, blocks), deviations, compared
     alignment_kernels.compare_blocks(patch, *compare)
@@ -81,11 +81,14 @@ def test_kernels_are_their_definitions(seed):
     both, whole = away[shown == 1], learned_cut[shown == 1]
     alike = (both * whole).sum() / np.sqrt((both**2).sum() * (whole**2).sum())
     assert alignment_kernels.likeness(compared, energies) == pytest.approx(alike, abs=1e-3)
-    planes, hessians = [as_patch(changes[:, k], blocks) for k in range(5)], np.einsum("bki,bji->kjb", changes, changes)
-    learned_of = energies, strong, np.stack(planes), np.ascontiguousarray(hessians)
-    assert alignment_kernels.robust_step(deviations, compared, *learned_of, prior, step)
-    expected = reference.robust_step(cut.astype(float), shown == 1, learned_cut, changes, prior)
-    np.testing.assert_allclose(step, expected, rtol=2e-3, atol=1e-5)
+    planes, products = [as_patch(changes[:, k], blocks) for k in range(7)], np.einsum("bki,bji->kjb", changes, changes)
+    gains, pairs = np.empty(36, np.float32), np.ascontiguousarray(products[np.tril_indices(7)])
+    usual = alignment_kernels.weigh_blocks(deviations, compared, energies, strong, gains)
+    for parts in (5, 7):
+        args = deviations, gains, usual, np.stack(planes), pairs, prior, parts, step
+        alignment_kernels.least_squares(*args)
+        expected = reference.robust_step(cut.astype(float), shown == 1, learned_cut, changes[:, :parts], prior[:parts])
+        np.testing.assert_allclose(step, expected[:5], rtol=2e-3, atol=1e-5)
     for found, plain in zip(directions_of(patch), reference.slope_directions(patch.astype(float)), strict=True):
         np.testing.assert_allclose(found, plain, rtol=1e-4, atol=1e-4)
     then = directions_of(learned)[0]
@@ -99,8 +102,8 @@ def test_kernels_are_their_definitions(seed):
 
 def test_no_block_in_the_frame_is_no_step():
     deviations, nothing = np.zeros((24, 24), np.float32), np.full((2, 36), -1, np.float32)
-    learned = np.ones(36, np.float32), 1.0, np.zeros((5, 24, 24), np.float32), np.zeros((5, 5, 36), np.float32)
-    assert not alignment_kernels.robust_step(deviations, nothing, *learned, np.ones(5), np.zeros(5))
+    energies, gains = np.ones((2, 36), np.float32)
+    assert alignment_kernels.weigh_blocks(deviations, nothing, energies, 1.0, gains) == 0
 
 
 def test_votes_are_their_definition():
@@ -170,10 +173,16 @@ def plainly_settled(aligner, pyramid, placement):
         if turn == settings.steps:
             break
         cut, shown = (reference.blocks_of(p, settings.blocks) for p in (patch.astype(float), seen))
-        learned, *changes = (reference.blocks_of(plane, settings.blocks) for plane in fine.planes[:6])
-        step = reference.robust_step(cut, shown.all(1), learned, np.stack(changes, 1), aligner._prior)
+        learned, _, _, *changes = (reference.blocks_of(plane, settings.blocks) for plane in fine.planes)
+        changes, long_px = np.stack(changes, 1), 0.0
+        for parts in (5, changes.shape[1]):
+            if long_px < settings.repeat_px:
+                step = reference.robust_step(cut, shown.all(1), learned, changes[:, :parts], fine.prior[:parts])[:5]
+                long_px = np.hypot(step[0] * placement[2], step[1] * placement[3])
+        then, now = (blocks - blocks.mean(1, keepdims=True) for blocks in (learned[shown.all(1)], cut[shown.all(1)]))
+        unlike = 1 - (then * now).sum() / np.sqrt((then**2).sum() * (now**2).sum())
         kernels.move(placement, step, settings.largest_step)
-        if np.hypot(step[0] * placement[2], step[1] * placement[3]) < settings.repeat_px:
+        if long_px < settings.repeat_px and (turn == settings.steps - 1 or long_px * unlike < settings.exact_px):
             break
     if share == 1:
         learned = reader.means(aligner.seen, PLACEMENT, LENS, reader.cells)[0]
