@@ -87,11 +87,11 @@ class Summary:
     laps: int | None
     """Driven to their end, with behaviour route."""
     loops_closed: int | None
-    """By a tracker that maps; so are the next ones."""
+    """By a tracker that maps (so are the next ones): returns to a mapped place that were recognised and tied to it."""
     loops_confirmed: int | None
-    """Returns to a closed loop's place, recognised and found right where the map has it: nothing was left to close."""
+    """Those of them that the map had right already: no error was left to spread. The others corrected the map."""
     loops_at_m: list[float] | None
-    """Truly driven when each loop was closed or confirmed."""
+    """Truly driven when each loop was closed."""
     keyframes: int | None
     maps: int | None
     trajectory_share: float | None

@@ -37,8 +37,9 @@ class Tracker(Protocol):
 @dataclass(frozen=True, kw_only=True)
 class Survey:
     """What a mapping tracker knows at the end. `trajectory`: (time_s, world_from_cam 4x4) of the frames with a pose in
-    the largest map, as corrected since; its unit and origin are the map's own. `loops`: corrections of the map;
-    `confirmed`: returns to the place of one, which was found right where the map has it; `loop_times_s`: of both."""
+    the largest map, as corrected since; its unit and origin are the map's own. `loops`: places
+    recognised anew and tied together; `confirmed`: those of them that the map had right already, so that no error was
+    left to spread; `loop_times_s`: of each."""
 
     trajectory: list[tuple[float, np.ndarray]]
     loops: int

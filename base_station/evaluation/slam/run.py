@@ -173,6 +173,7 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
         "points": statistics.points,
         "maps": statistics.maps,
         "loops": statistics.loops,
+        "loops_corrected": statistics.loops_corrected,
         "merges": statistics.merges,
         "relocalizations": statistics.relocalizations,
         "closures": [asdict(closure) for closure in statistics.closures],

@@ -22,6 +22,8 @@ class InitializerSettings:
 
     search_radius_px: float = 100.0
     """Around where a keypoint was last matched."""
+    widest_radius_px: float = 250.0
+    """The same when too little is found there: a quick turn."""
     least_features: int = 150
     """A picture with fewer cannot begin a map."""
     least_matches: int = 90
@@ -70,33 +72,48 @@ class Initializer:
         """The first pair, or in words why not yet."""
         if len(features) < self.settings.least_features:
             return "too few features to begin a map"
-        answer: InitialPair | str = "waiting for a second picture"
-        while self._pictures:
+        matched = self.watch(time_s, features, grid)
+        return "waiting for a second picture" if matched is None else self._pair(*matched, time_s, features)
+
+    def watch(self, time_s: float, features: Features, grid: Grid) -> tuple[_Picture, np.ndarray, np.ndarray] | None:
+        """Remember a picture while no pair is wanted yet; the older picture that it would be paired with, and which
+        features of both (m,) show the same."""
+        matched = None
+        if len(features) < self.settings.least_features:
+            return None
+        while self._pictures and matched is None:
             first = self._pictures[0]
             rows_one, rows_two = self._matches(first, features, grid)
             if len(rows_one) >= self.settings.least_matches:
-                answer = self._pair(first, time_s, features, rows_one, rows_two)
-                break
-            del self._pictures[: max(1, len(self._pictures) // 2)]
+                matched = first, rows_one, rows_two
+            else:
+                del self._pictures[: max(1, len(self._pictures) // 2)]
         self._pictures.append(_Picture(time_s, features, features.xy_px.copy()))
         if len(self._pictures) > self.settings.remembered:
             del self._pictures[1]
-        return answer
+        return matched
 
     def _matches(self, first: _Picture, features: Features, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
         octave = first.features.octave.astype(np.int64)
-        matches = match_projections(
-            first.expected_px.astype(np.float64), np.full(len(octave), self.settings.search_radius_px),
-            np.stack([octave - 1, octave + 1], axis=1), first.features.descriptors, features, grid,
-            most=NEAR, ratio=0.9,
-        )  # fmt: skip
-        matches = agreeing_in_turn(matches, first.features.angle_deg, features.angle_deg)
-        rows = np.flatnonzero(matches >= 0)
-        first.expected_px[rows] = features.xy_px[matches[rows]]
+        rows = np.empty(0, np.int64)
+        for radius_px in (self.settings.search_radius_px, self.settings.widest_radius_px):
+            matches = match_projections(
+                first.expected_px.astype(np.float64), np.full(len(octave), radius_px),
+                np.stack([octave - 1, octave + 1], axis=1), first.features.descriptors, features, grid,
+                most=NEAR, ratio=0.9,
+            )  # fmt: skip
+            matches = agreeing_in_turn(matches, first.features.angle_deg, features.angle_deg)
+            rows = np.flatnonzero(matches >= 0)
+            if len(rows) >= self.settings.least_matches:
+                break
+        found = features.xy_px[matches[rows]]
+        if len(rows):  # what was not found has gone along with the rest
+            first.expected_px += np.median(found - first.expected_px[rows], axis=0)
+        first.expected_px[rows] = found
         return rows, matches[rows]
 
     def _pair(
-        self, first: _Picture, time_s: float, features: Features, rows_one: np.ndarray, rows_two: np.ndarray
+        self, first: _Picture, rows_one: np.ndarray, rows_two: np.ndarray, time_s: float, features: Features
     ) -> InitialPair | str:
         scales = (self._scales[first.features.octave[rows_one]], self._scales[features.octave[rows_two]])
         found = solve_two_view(

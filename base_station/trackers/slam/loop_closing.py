@@ -70,8 +70,13 @@ def find_loop(
     latest = world.keyframes_alive(int(world.component[keyframe]))[-settings.latest :]
     scores = [places.similarity(keyframe, int(row)) for row in known[:10] if world.shared[keyframe, row] >= 30]
     least_score = settings.neighbour_share * min(scores, default=0.05)
+    mine = world.keyframes_alive(int(world.component[keyframe]))
+    others = np.setdiff1d(world.keyframes_alive(), mine)
     exclude = {keyframe, *known.tolist(), *latest.tolist()}
-    for candidate in places.candidates(words, exclude=exclude, least_score=least_score):
+    candidates = places.candidates(words, exclude=exclude | set(others.tolist()), least_score=least_score)
+    if len(others):  # apart: a map's own places resemble it most, and would leave no turn to those of other maps
+        candidates += places.candidates(words, exclude=set(mine.tolist()))
+    for candidate in candidates:
         loop = _verify(world, keyframe, candidate, camera, settings)
         if loop is not None:
             return loop

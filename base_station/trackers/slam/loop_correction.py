@@ -53,6 +53,19 @@ def correct(world: Map, loop: Loop, closed: list[tuple[int, int]], camera: SlamC
     return "loop" if one == two else "merge"
 
 
+def tie(world: Map, keyframe: int, place: int, closed: list[tuple[int, int]], camera: SlamCamera) -> None:
+    """A loop that is right already: from now on both ends are held together (an edge of later pose graphs), and what
+    the place's surroundings show becomes the keyframe's own."""
+    closed.append((keyframe, place))
+    around = np.append(world.neighbours(place, GROUP), place)
+    around = around[around != keyframe]
+    fuse(world, world.points_of(around), keyframe, camera)
+    near = np.append(world.neighbours(keyframe, GROUP), keyframe)
+    world.recount(near)
+    world.count_observed(world.points_of(near))
+    refresh_points(world, world.points_of(np.array([keyframe])), near)
+
+
 def _spread_error(world: Map, loop: Loop, closed: list[tuple[int, int]]) -> None:
     rows = world.keyframes_alive(int(world.component[loop.keyframe]))
     position = {int(row): index for index, row in enumerate(rows)}

@@ -19,7 +19,7 @@ from base_station.trackers.slam.fusion import fuse_neighbourhood
 from base_station.trackers.slam.initialization import InitialPair
 from base_station.trackers.slam.local_bundle import adjust, adjust_locally
 from base_station.trackers.slam.loop_closing import correction, find_loop
-from base_station.trackers.slam.loop_correction import correct
+from base_station.trackers.slam.loop_correction import correct, tie
 from base_station.trackers.slam.map import NONE, Map, MapUpdate, refresh_points
 from base_station.trackers.slam.new_points import make_points, median_depth
 from base_station.trackers.slam.relocalization import Places
@@ -159,6 +159,8 @@ class Mapper:
         loop = find_loop(self.map, self._places, new.row, new.words, self._camera, self._settings.loops)
         if loop is None:
             confirmed = self._returns.look(self.map, new.row)
+            if confirmed is not None:
+                tie(self.map, new.row, self._returns.place(self.map), self._closed, self._camera)
             self._note_time("place recognition", began)
             return confirmed
         self._note_time("place recognition", began)

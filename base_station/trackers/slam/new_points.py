@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,11 +27,20 @@ class NewPointSettings:
     least_sigmas: float = 10.0
     """...so many times the angle that a keypoint may be off: a tenth of the depth is uncertain then. Points
     less sure are not wrong at random, they are too near: with them a turning camera loses its scale."""
+    starving: int = 120
+    """A keyframe that sees fewer points is about to lose the map (a quick turn): for it..."""
+    starving_sigmas: float = 4.0
+    """...less sure points are better than none."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
     """Triangulate what this keyframe's free features show together with neighbours'; the new rows."""
     made = []
+    if np.count_nonzero(world.point_of[keyframe] >= 0) < settings.starving:
+        least = settings.starving_sigmas / settings.least_sigmas
+        settings = replace(
+            settings, least_sigmas=settings.starving_sigmas, least_parallax_rad=least * settings.least_parallax_rad
+        )
     for other in world.neighbours(keyframe, settings.neighbours):
         made.append(_between(world, keyframe, int(other), camera, settings))
     return np.concatenate(made) if made else np.empty(0, np.int32)

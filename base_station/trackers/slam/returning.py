@@ -53,11 +53,15 @@ class Returns:
         """A loop has just been closed at this keyframe."""
         self._place, self._away = place, False
 
+    def place(self, world: Map) -> int:
+        """The keyframe at the closed loop's place, as it is now."""
+        return world.living(self._place)
+
     def look(self, world: Map, keyframe: int) -> Closure | None:
         """What a new keyframe confirms; None where it is not a return, or does not."""
         if self._place == NONE:
             return None
-        place = world.living(self._place)
+        place = self.place(world)
         if not world.alive[place] or world.component[place] != world.component[keyframe]:
             return None
         shared = int(world.shared[keyframe, place])

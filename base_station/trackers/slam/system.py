@@ -37,6 +37,9 @@ FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
 LOST_SMALL_FRAMES = 3
+JITTER_S = 0.1
+"""By which pictures of a live camera may come early."""
+MOST_AHEAD_S, LOOK_EVERY_S = 5.0, 0.5
 
 
 @dataclass
@@ -44,6 +47,7 @@ class _Counts:
     frames: int = 0
     tracked: int = 0
     loops: int = 0
+    corrected: int = 0
     merges: int = 0
     relocalizations: int = 0
     closures: list[Closure] = field(default_factory=list)
@@ -103,6 +107,8 @@ class SlamSystem:
         self._lost_frames = 0
         self.last_picture: Picture | None = None
         """The last picture that could be looked at, with its features and the map points that they show."""
+        self._caught_up = 0.0, -math.inf
+        """When the mapper last had nothing to do: in the pictures' time, and by the clock."""
         self._trajectory: list[_Tracked] = []
         self._unsettled = False
         """Whether the map has changed since it was adjusted as a whole."""
@@ -117,6 +123,7 @@ class SlamSystem:
         self.last_picture = None
         began = time.perf_counter()
         self._take(self._link.receive())
+        self._let_mapper_keep_up(time_s)
         self._time("updates", began)
         wrong = self._wrong(image)
         if wrong:
@@ -130,6 +137,17 @@ class SlamSystem:
         found = self._locate(picture)
         self._time("tracking", began)
         return self._lost(time_s, found) if isinstance(found, str) else self._located(picture, found)
+
+    def _let_mapper_keep_up(self, time_s: float) -> None:
+        """Pictures that come faster than their own time passes (a simulation in lockstep, a file) wait for the mapper
+        as long as the camera would have taken. Pictures of a live camera are never ahead."""
+        if not self._link.waiting():
+            self._caught_up = time_s, time.monotonic()
+            return
+        since_s, clock_s = self._caught_up
+        until_s = clock_s + min(time_s - since_s, MOST_AHEAD_S) - JITTER_S
+        while self._link.waiting() and self._link.alive() and (left_s := until_s - time.monotonic()) > 0:
+            self._take(self._link.receive(min(left_s, LOOK_EVERY_S)))
 
     def _wrong(self, image: np.ndarray) -> str:
         if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
@@ -159,6 +177,7 @@ class SlamSystem:
                 return found
             waits = picture.time_s - self._lost_since_s < self.settings.atlas.new_map_after_s
             if self._component != NONE and (waits or not self._lost_frames):
+                self._initializer.watch(picture.time_s, picture.features, picture.grid)
                 return reason
         return self._begin(picture)
 
@@ -297,8 +316,9 @@ class SlamSystem:
             self._unsettled = update.event not in ("settled", "left as it is")
             if update.event in ("loop", "merge", "settled"):
                 self._tracker.stopped()
-                self._counts.loops += update.event == "loop"
+                self._counts.corrected += update.event == "loop"
                 self._counts.merges += update.event == "merge"
+            self._counts.loops += update.event in ("loop", "confirmed")
             if update.closure is not None:
                 self._counts.closures.append(update.closure)
             if self._awaited is not None and update.event in ("new map", "forgotten map"):
@@ -384,6 +404,7 @@ class SlamSystem:
             points=len(self._map.points_alive()),
             maps=len(np.unique(self._map.component[alive])),
             loops=self._counts.loops,
+            loops_corrected=self._counts.corrected,
             merges=self._counts.merges,
             relocalizations=self._counts.relocalizations,
             closures=tuple(self._counts.closures),

@@ -36,6 +36,8 @@ class TrackingSettings:
     """Of them that fit the pose."""
     least_inliers: int = 30
     """Points that fit a pose that is said."""
+    least_sure_inliers: int = 15
+    """The same when they leave the pose no freedom (`certainty.py`): in a quick turn there are not more."""
     least_inliers_found_again: int = 50
     """The same for a pose without a pose before."""
     least_inlier_share: float = 0.4
@@ -136,8 +138,8 @@ class FrameTracker:
         for way in (self._by_motion, self._by_likeness, self._by_keyframe):
             fit = way(picture, guess, last.picture, points, reference)
             if fit is not None:
-                found = self.by_local_map(picture, fit, reference, self.settings.least_inliers)
-                if not isinstance(found, str) and self._plausible(picture, found, guess):
+                found = self.by_local_map(picture, fit, reference, self.settings.least_sure_inliers)
+                if not isinstance(found, str) and self._is_enough(picture, found, guess):
                     return found
         return "the last picture's points are not found again"
 
@@ -271,6 +273,11 @@ class FrameTracker:
             found.cam_from_world, self._map.xyz[found.point_of[rows]], picture.features.xy_px[rows],
             self._map.scales[picture.features.octave[rows]], self._camera.intrinsics, self.settings.certainty,
         )  # fmt: skip
+
+    def _is_enough(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
+        if found.matches < self.settings.least_inliers and not self._is_certain(picture, found):
+            return False
+        return self._plausible(picture, found, guess)
 
     def _plausible(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         """A pose far from the expected one is believed only if one from nowhere would be."""

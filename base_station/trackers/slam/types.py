@@ -45,8 +45,9 @@ class Closure:
 
 @dataclass(frozen=True, kw_only=True)
 class SlamStatistics:
-    """Counts since the start. `closures`: in order; loops and merges are counted apart. `timings_ms`: of every stage, a
-    list with one entry per run."""
+    """Counts since the start. `closures`: in order. `timings_ms`: of every stage, a list with one entry per run.
+    `loops`: places of the same map that were recognised, verified and tied together; `loops_corrected`: those of them
+    that left an error to spread. The others (kind "confirmed") were right already."""
 
     frames: int = 0
     tracked: int = 0
@@ -54,6 +55,7 @@ class SlamStatistics:
     points: int = 0
     maps: int = 0
     loops: int = 0
+    loops_corrected: int = 0
     merges: int = 0
     relocalizations: int = 0
     closures: tuple[Closure, ...] = ()

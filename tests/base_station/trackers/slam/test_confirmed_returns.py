@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from base_station.trackers.slam.camera import SlamCamera
-from base_station.trackers.slam.map import Map
+from base_station.trackers.slam.loop_correction import tie
+from base_station.trackers.slam.map import NONE, Map, refresh_points
 from base_station.trackers.slam.returning import Returns, ReturnSettings
 from base_station.trackers.slam.se3 import exponential
 from tests.base_station.trackers.slam.scene import INTRINSICS, SCALES, box_of_points, features_of, project, random_looks
@@ -49,6 +50,20 @@ def test_a_return_is_confirmed_once_and_measured():
     assert found.moved_of_depth == pytest.approx(0.03 / np.median(box_depth(world)), rel=0.3)
     assert found.turned_rad < 0.003
     assert returns.look(world, 2) is None  # once a visit
+
+
+def test_a_confirmed_return_ties_both_ends_together():
+    world = world_with(np.eye(4))
+    forgotten = np.arange(0, 30)
+    world.point_of[2, forgotten] = NONE
+    world.recount(np.arange(3))
+    refresh_points(world, world.points_alive(), np.arange(3))
+    before, closed = int(world.shared[2, 0]), []
+    tie(world, 2, 0, closed, CAMERA)
+    assert closed == [(2, 0)]
+    assert before == COUNT - 30 < before + 15 < world.shared[2, 0] <= COUNT
+    found = world.point_of[2, forgotten]
+    assert np.array_equal(found[found != NONE], world.point_of[0, forgotten][found != NONE])
 
 
 def box_depth(world: Map) -> np.ndarray:

@@ -171,6 +171,17 @@ def test_with_the_mapper_in_a_process_of_its_own_which_ends():
     assert mapper.exitcode == -signal.SIGTERM
 
 
+def test_pictures_faster_than_their_time_wait_for_the_mapper():
+    """As in lockstep, in a simulation quicker than its clock: no keyframe is refused because the mapper is behind."""
+    with start() as alone, start(single_process=False) as slam:
+        drive(alone, ALONG)
+        frames = drive(slam, ALONG)
+        slam.finish()
+        first, least = [next(k for k, one in enumerate(frames) if one.component == 0)], len(alone.keyframes()) - 3
+        assert {frame.component for frame in frames[first[0] :]} == {0}
+        assert len(slam.keyframes()) >= max(least, 3)
+
+
 def test_a_mapper_that_dies_ends_neither_tracking_nor_the_end():
     slam = start(single_process=False)
     mapper = multiprocessing.active_children()[-1]
