@@ -107,8 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _read(arguments: Sequence[str]) -> Any:
     """Raises StationError; SystemExit where tyro has said what there was to say."""
     if not arguments or arguments[0] in ("-h", "--help"):
+        any_command: Any = Union[tuple(COMMANDS.values())]  # noqa: UP007 (of a tuple)
         return tyro.cli(
-            Union[tuple(COMMANDS.values())],  # noqa: UP007 (of a tuple)
+            any_command,
             prog="base-station",
             description="The station on the PC: sees with a tracker, drives with a behaviour.",
             args=arguments,
