@@ -102,6 +102,8 @@ class Recorder:
         self._newest_s = 0.0
         self._told_hello: Hello | None = None
         self._camera: PinholeCamera | None = None
+        self._simulated: bool | None = None
+        """The robot tells the truth of its place; None until it has told of a frame."""
         self._truths: OrderedDict[FrameKey, Truth] = OrderedDict()
         self._places: OrderedDict[FrameKey, tuple[Stamp, float]] = OrderedDict()
         """When the last frames were, and the camera's pan in them."""
@@ -263,7 +265,7 @@ class Recorder:
         if driven is not None:
             place = driven.x_m, driven.y_m, driven.heading_rad
             self._file.pose(topics.ODOMETRY_POSE, at, ODOMETRY_FRAME, world_from_robot(*place))
-            if self._told_hello is not None and self._told_hello.scenario is None:  # else the simulation knows better
+            if self._simulated is False:  # a simulation knows better
                 camera = world_from_camera(*place, seen.step.pan_rad or 0.0)
                 self._file.transform(at, ODOMETRY_FRAME, CAMERA_FRAME, camera)
         if pose is not None:
@@ -274,6 +276,8 @@ class Recorder:
         fields.pop("truth")
         self._file.json(topics.TELEMETRY, self._stamp(heard.time_s), fields)
         stamp, truth, station = heard.telemetry.frame, heard.telemetry.truth, heard.telemetry.station
+        if stamp is not None:
+            self._simulated = self._simulated or truth is not None
         if stamp is not None and truth is not None and station is not None:
             self._note_truth((station, stamp.number), truth)
 

@@ -202,6 +202,27 @@ def test_each_picture_has_its_box_over_it_at_its_own_time(tmp_path: Path):
     assert corners(annotations[2][1]) == [] and len(annotations[2][1][3]) == 1
 
 
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_real_robots_camera_stands_where_its_wheels_took_it(tmp_path: Path, simulated: bool):
+    """In 3-D a viewer finds the picture's frame, `camera`: in `odometry`, unless a simulation tells of a `world`."""
+    made = Recorder(tmp_path / "run.mcap", driven=lambda frame: FlatPose(x_m=1.0, y_m=2.0, heading_rad=0.0))
+    truth = Truth(robot=(0, 0, 0), bearing_rad=0.1, range_m=0.4, in_view=True) if simulated else None
+    stamp = FrameStamp(connection=1, number=9, capture_s=1.0, dropped=0)
+    made.note_telemetry(Telemetry(sequence=1, monotonic_s=1, wall_s=2, frame=stamp, station="here:1", truth=truth))
+    made.note_step(a_step(1))
+    made.close()
+    path = made.path
+    with path.open("rb") as file:
+        told = [protobuf.fields_of(message.data) for *_, message in make_reader(file).iter_messages(["/tf"])]
+    if simulated:
+        assert told == []
+        return
+    (fields,) = told
+    assert (fields[2], fields[3]) == ([b"odometry"], [b"camera"])
+    moved = protobuf.fields_of(fields[4][0])  # type: ignore[arg-type]
+    assert [struct.unpack("<d", moved[number][0])[0] for number in (1, 2)] == [1.0, 2.0]  # type: ignore[arg-type]
+
+
 def test_of_a_file_that_is_cut_short_the_front_is_read(recorded: Path, tmp_path: Path):
     data = recorded.read_bytes()
     cut = tmp_path / "cut.mcap"
