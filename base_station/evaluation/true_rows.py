@@ -1,5 +1,5 @@
 """What each frame of a simulated run showed, beside what was true when it was taken: packed, since a run may last for
-hours, and bounded where nobody tells a truth: a real robot's may last for days."""
+hours, and bounded where nobody tells a truth: a real robot's may last for days. Measures are kept to seven digits."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ class TrueRows:
 
     def __init__(self) -> None:
         self._truths: OrderedDict[Key, Truth] = OrderedDict()
-        self._frames: OrderedDict[Key, array[float]] = OrderedDict()
+        self._frames: OrderedDict[Key, tuple[float, array[float]]] = OrderedDict()
         self._reasons: dict[str, int] = {}
-        self._packed = array("d")
+        self._times_s, self._packed = array("d"), array("f")
         self._seen = 0
         self._last: Key | None = None
 
@@ -80,7 +80,7 @@ class TrueRows:
         """The first one told of a frame counts."""
         frame = self._frames.pop(key, None)
         if frame is not None:
-            self._packed += frame + _truth_packed(truth)
+            self._pack(*frame, truth)
         elif key != self._last:
             _keep(self._truths, key, truth)
 
@@ -88,14 +88,14 @@ class TrueRows:
         self, key: Key, time_s: float, result: TrackerResult, shadow: TrackerResult | None, pan_rad: float | None
     ) -> None:
         """What a tracker, and one beside it, made of a frame."""
-        frame = array("d", (self._seen, time_s, _number(pan_rad), *self._shown(result), *self._shown(shadow)))
+        frame = array("f", (self._seen, _number(pan_rad), *self._shown(result), *self._shown(shadow)))
         self._seen += 1
         self._last = key
         truth = self._truths.pop(key, None)
         if truth is not None:
-            self._packed += frame + _truth_packed(truth)
+            self._pack(time_s, frame, truth)
         else:
-            _keep(self._frames, key, frame)
+            _keep(self._frames, key, (time_s, frame))
 
     def rows(self, since: int = 0) -> list[TrueRow]:
         """Those with a truth, in the order in which their frames were noted, from the `since`-th frame on."""
@@ -103,7 +103,14 @@ class TrueRows:
         packed = memoryview(self._packed)
         starts = range(0, len(packed), ROW_NUMBERS)
         chosen = sorted((packed[start], start) for start in starts if packed[start] >= since)
-        return [_row(iter(packed[start : start + ROW_NUMBERS]), reasons) for _, start in chosen]
+        return [
+            _row(self._times_s[start // ROW_NUMBERS], iter(packed[start : start + ROW_NUMBERS]), reasons)
+            for _, start in chosen
+        ]
+
+    def _pack(self, time_s: float, frame: array[float], truth: Truth) -> None:
+        self._times_s.append(time_s)
+        self._packed += frame + _truth_packed(truth)
 
     def _shown(self, result: TrackerResult | None) -> tuple[float, ...]:
         if result is None:
@@ -114,7 +121,7 @@ class TrueRows:
 
 
 SHOWN_NUMBERS = 7
-ROW_NUMBERS = 3 + 2 * SHOWN_NUMBERS + 10
+ROW_NUMBERS = 2 + 2 * SHOWN_NUMBERS + 10
 
 
 def _keep(waiting: OrderedDict[Key, T], key: Key, value: T) -> None:
@@ -130,10 +137,10 @@ def _number(value: float | None) -> float:
 def _truth_packed(truth: Truth) -> array[float]:
     target = truth.target or (_NONE,) * 3
     measured = (_number(truth.bearing_rad), _number(truth.range_m), truth.in_view, truth.collisions)
-    return array("d", (*truth.robot, *target, *measured))
+    return array("f", (*truth.robot, *target, *measured))
 
 
-def _row(numbers: Iterator[float], reasons: tuple[str, ...]) -> TrueRow:
+def _row(time_s: float, numbers: Iterator[float], reasons: tuple[str, ...]) -> TrueRow:
     def optional() -> float | None:
         value = next(numbers)
         return None if math.isnan(value) else value
@@ -146,7 +153,7 @@ def _row(numbers: Iterator[float], reasons: tuple[str, ...]) -> TrueRow:
         told = _STATES[int(state)], reasons[int(reason)]
         return Shown(*told, bearing_rad, view_angle_rad, range_m, compass_rad, bool(posed))
 
-    index, time_s, pan_rad = int(next(numbers)), next(numbers), optional()
+    index, pan_rad = int(next(numbers)), optional()
     result, shadow = shown(), shown()
     assert result is not None
     robot = next(numbers), next(numbers), next(numbers)
