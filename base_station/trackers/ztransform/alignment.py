@@ -10,6 +10,7 @@ forgotten. How sure one can be is told by the better half of the blocks: up to h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -87,8 +88,7 @@ class _Level:
     """(n,): 1 / variance of each change, against the misfit's variance."""
 
 
-@dataclass(frozen=True)
-class Alignment:
+class Alignment(NamedTuple):
     """`confidence` 0..1. `share`: of the target that lies in the frame; `alike`: of that, what looks as it was learned,
     by its contrast."""
 

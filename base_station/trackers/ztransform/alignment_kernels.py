@@ -27,7 +27,7 @@ LEAST_ALIKE = 0.5
 """Correlation of all blocks with the learned ones, where the target is to be near."""
 ANYWHERE_PX = 1e9
 """Fast mathematics know no infinity."""
-MARGIN = 0.1
+MARGIN = 0.04
 """Of a target's width and height: how far settling usually goes."""
 MORE_TO_READ = -1.0
 """In the place of a share: the placement sticks out of the frame, and no running sums of the whole frame were given."""
