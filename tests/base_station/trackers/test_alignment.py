@@ -11,6 +11,7 @@ from base_station.evaluation.worlds import generated_world
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform import alignment_kernels, cells, kernels, reference, resemblance
 from base_station.trackers.ztransform.alignment import Aligner, AlignmentSettings
+from base_station.trackers.ztransform.appearance import appearances
 from base_station.trackers.ztransform.boxes import sample_boxes
 from base_station.trackers.ztransform.outline import lens_of
 from base_station.trackers.ztransform.pieces import count_votes
@@ -144,12 +145,44 @@ def test_reading_is_exact_at_the_frame_s_very_edge():
 
 
 @pytest.mark.parametrize(
+    ("disturbance", "left"),
+    [
+        (Disturbance(gamma=1.3), 0.05),
+        (Disturbance(gamma=0.7), 0.15),
+        (Disturbance(gradient=30), 0.1),
+        (Disturbance(blur_px=9), 0.25),
+    ],
+)
+def test_appearance_explains_what_light_and_blur_change(worlds, disturbance, left):
+    """Least squares with an offset and a gain leave a misfit; with the learned changes besides, little of it."""
+
+    def read(pyramid):
+        patch = np.empty((48, 48), np.float32)
+        assert cells.read_inside(pyramid.image, PLACEMENT, LENS[3], patch)
+        return patch
+
+    learned = Pyramid(reference_view(worlds[0]))
+    patch, rng = read(learned).ravel(), np.random.default_rng(0)
+    seen = read(Pyramid(disturbed_view(worlds[0], disturbance, rng))).ravel()
+    plain = [np.ones_like(patch), patch]
+    looks = [look.ravel() for look in appearances(learned, PLACEMENT, read)]
+    misfits = []
+    for known in (plain, plain + looks):
+        found = np.linalg.lstsq(np.stack(known, 1), seen, rcond=None)[0]
+        misfits.append(((seen - np.stack(known, 1) @ found) ** 2).sum())
+    assert misfits[1] < left * misfits[0]
+
+
+@pytest.mark.parametrize(
     ("disturbance", "px"),
     [
         (Disturbance(dx=3.7), 0.015),
         (Disturbance(dx=-20.21, noise=10), 0.06),
         (Disturbance(dx=8.4, gain=0.5, offset=30), 0.03),
-        (Disturbance(dx=8.4, gamma=1.8), 0.05),
+        (Disturbance(dx=8.4, gamma=1.8), 0.01),
+        (Disturbance(dx=8.4, gamma=0.5), 0.01),
+        (Disturbance(dx=-3.3, gradient=40), 0.01),
+        (Disturbance(dx=5.6, blur_px=9), 0.03),
         (Disturbance(dx=-6.1, zoom=1.2), 0.03),
     ],
 )
