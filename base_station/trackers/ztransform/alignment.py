@@ -48,7 +48,7 @@ class AlignmentSettings:
     """Of width and height."""
     repeat_px: float = 0.2
     """After a step longer than this comes another one..."""
-    exact_px: float = 0.001
+    exact_px: float = 0.0005
     """... and after one longer than this over 1 - the correlation with what was learned, while steps are left."""
     steps: int = 5
     """At most, of the fine ones."""

@@ -200,7 +200,7 @@ def test_it_settles_where_the_target_is(worlds, aligner, disturbance, px):
 def plainly_settled(aligner, pyramid, placement):
     """`Aligner.settle`, step by step in plain numpy; of a target that lies in the frame, confidence too."""
     settings, reader, fine = aligner._settings, aligner._reader, aligner._fine
-    placement, confidence = placement.copy(), None
+    placement, confidence, before = placement.copy(), None, None
     for turn in range(settings.steps + 1):
         patch, seen, share = reader.means(pyramid, placement, LENS, reader.cells)
         if turn == settings.steps:
@@ -214,8 +214,11 @@ def plainly_settled(aligner, pyramid, placement):
                 long_px = np.hypot(step[0] * placement[2], step[1] * placement[3])
         then, now = (blocks - blocks.mean(1, keepdims=True) for blocks in (learned[shown.all(1)], cut[shown.all(1)]))
         unlike = 1 - (then * now).sum() / np.sqrt((then**2).sum() * (now**2).sum())
+        if turn > 0:
+            step = reference.follow_on(step, before, placement[2:4])
+        before = step
         kernels.move(placement, step, settings.largest_step)
-        if long_px < settings.repeat_px and (turn == settings.steps - 1 or long_px * unlike < settings.exact_px):
+        if long_px < settings.repeat_px and (turn > 0 or long_px * unlike < settings.exact_px):
             break
     if share == 1:
         learned = reader.means(aligner.seen, PLACEMENT, LENS, reader.cells)[0]
