@@ -67,11 +67,8 @@ class Box:
     height: float
 
     def __post_init__(self) -> None:
-        if (
-            not all(map(math.isfinite, (self.x, self.y, self.width, self.height)))
-            or self.width <= 0
-            or self.height <= 0
-        ):
+        is_finite = math.isfinite(self.x + self.y + self.width + self.height)  # one call: this is in every frame's path
+        if not is_finite or self.width <= 0 or self.height <= 0:
             sides = f"{self.x},{self.y},{self.width},{self.height}"
             raise ValueError(f"not a box: {sides} (x,y,width,height, both sides > 0)")
 
@@ -146,14 +143,25 @@ class TrackerResult:
     def __post_init__(self) -> None:
         if self.state is not TrackingState.TRACKING:
             self._check_empty()
+        total = 0.0  # of numbers of which one is not finite, neither is the sum; one check is quicker than eight
+        for value in (
+            self.shift_px, self.shift_y_px, self.bearing_rad, self.elevation_rad, self.zoom, self.view_angle_rad,
+            self.range_m, self.compass_rad,
+        ):  # fmt: skip
+            if value is not None:
+                total += value
+        if not math.isfinite(total):
+            self._check_finite()
+        if self.zoom is not None and self.zoom <= 0:
+            raise ValueError(f"a result's zoom is {self.zoom}, it must be positive")
+
+    def _check_finite(self) -> None:
         for name in (
             "shift_px", "shift_y_px", "bearing_rad", "elevation_rad", "zoom", "view_angle_rad", "range_m", "compass_rad"
         ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"a result's {name} is {value}")
-        if self.zoom is not None and self.zoom <= 0:
-            raise ValueError(f"a result's zoom is {self.zoom}, it must be positive")
 
     def _check_empty(self) -> None:
         measured = (

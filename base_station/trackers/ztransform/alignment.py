@@ -10,6 +10,7 @@ forgotten. How sure one can be is told by the better half of the blocks: up to h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ class AlignmentSettings:
     """Of width and height."""
     repeat_px: float = 0.2
     """After a step longer than this comes another one..."""
-    exact_px: float = 0.001
+    exact_px: float = 0.0005
     """... and after one longer than this over 1 - the correlation with what was learned, while steps are left."""
     steps: int = 5
     """At most, of the fine ones."""
@@ -87,8 +88,7 @@ class _Level:
     """(n,): 1 / variance of each change, against the misfit's variance."""
 
 
-@dataclass(frozen=True)
-class Alignment:
+class Alignment(NamedTuple):
     """`confidence` 0..1. `share`: of the target that lies in the frame; `alike`: of that, what looks as it was learned,
     by its contrast."""
 

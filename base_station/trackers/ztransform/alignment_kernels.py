@@ -25,9 +25,11 @@ LEAST_GAIN, LARGEST_GAIN = 0.05, 3.0
 """Of light: the whole patch's is at least the one, a block's at most the other times the whole patch's."""
 LEAST_ALIKE = 0.5
 """Correlation of all blocks with the learned ones, where the target is to be near."""
+MOST_LEFT = 0.5
+"""Of the way, after a step: a larger share is an accident."""
 ANYWHERE_PX = 1e9
 """Fast mathematics know no infinity."""
-MARGIN = 0.1
+MARGIN = 0.04
 """Of a target's width and height: how far settling usually goes."""
 MORE_TO_READ = -1.0
 """In the place of a share: the placement sticks out of the frame, and no running sums of the whole frame were given."""
@@ -171,6 +173,18 @@ def least_squares(deviations, gains, usual, changes, products, prior, parts, ste
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def follow_on(step, before, placement):
+    """Lengthen a step, to the side and down, by all the steps that would come after it: of what is blurred each is the
+    same share of the one before it (Aitken 1926). In place."""
+    width, height = placement[WIDTH] ** 2, placement[HEIGHT] ** 2
+    along = step[X] * before[X] * width + step[Y] * before[Y] * height
+    share = along / (before[X] ** 2 * width + before[Y] ** 2 * height + 1e-12)
+    longer = 1 / (1 - min(max(share, 0.0), MOST_LEFT))
+    step[X] *= longer
+    step[Y] *= longer
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
 def solve(matrix, right, out):
     """matrix @ out = right, for a positive definite matrix, of which the lower half is enough: Cholesky. Overwrites the
     matrix. (numba's needs SciPy.)"""
@@ -201,20 +215,19 @@ def settle(
 ):  # fmt: skip
     """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
 
-    Read, compare, step; again while a step is longer than `repeat_px`, or than `exact_px` in so far as what is seen
-    differs from what was learned: of what is blurred a step is by some tenths too short or too long. With
-    `farthest_px` below ANYWHERE_PX the target is taken to be near: confidence is 0 where steps lead further away, do
-    not end, or the first look has little in common with it, from where they may lead anywhere. `planes` to `prior`:
-    see `alignment`. `table`: running sums of the whole frame, or nothing, and where they are (see `boxes`); only a
-    placement that sticks out of the frame needs them. `image`: the frame, whose noise is measured where confidence is
-    below `noisy_below`.
+    Read, compare, step; again while a step is longer than `repeat_px`, and once more after a first one that is longer
+    than `exact_px` in so far as what is seen differs from what was learned. With `farthest_px` below ANYWHERE_PX the
+    target is taken to be near: confidence is 0 where steps lead further away, do not end, or the first look has
+    little in common with it, from where they may lead anywhere. `planes` to `prior`: see `alignment`. `table`:
+    running sums of the whole frame, or nothing, and where they are (see `boxes`); only a placement that sticks out of
+    the frame needs them. `image`: the frame, whose noise is measured where confidence is below `noisy_below`.
     """
     cells, blocks, horizon_px = planes.shape[1], block_sums.shape[1], lens[3]
     learned, slopes, changes = planes[0], planes[1:3], planes[3:]
     energies, slope_energies = block_sums[0], block_sums[1]
     patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
     shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
-    gains = np.empty(blocks, np.float32)
+    gains, before = np.empty(blocks, np.float32), np.zeros(FREEDOMS)
     part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
     sums, is_read, share, step = np.empty((0, 0), np.uint16), False, 1.0, np.zeros(FREEDOMS)
     for turn in range(steps + 1):
@@ -244,10 +257,13 @@ def settle(
             if usual > 0 and long_px < repeat_px:
                 least_squares(deviations, gains, usual, changes, products, prior, parts, step)
                 long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
+        if turn > 0:
+            follow_on(step, before, placement)
+        before[:] = step
         move(placement, step, largest_step)
         if max(abs(placement[X] - start_x), abs(placement[Y] - start_y)) > farthest_px:
             return 0.0, share, 0.0
-        if long_px < repeat_px and (turn == steps - 1 or long_px * (1 - like) < exact_px):
+        if long_px < repeat_px and (turn == steps - 1 or turn > 0 or long_px * (1 - like) < exact_px):
             break
     confidence, seen_alike = resemblance(
         patch, compared, energies, slopes, slope_energies, judged_part, alike, 0.0

@@ -22,6 +22,8 @@ TALLEST_CELL_PX = 256.0
 FAR_PX = 1e9
 LEAST_WIDTH = 1e-3
 """Of the learned width, where one is seen so aslant that a side comes near the camera."""
+ABREAST = 4
+"""Rows of cells that are summed side by side."""
 TOP, BOTTOM, LEFT, RIGHT = range(4)
 
 
@@ -171,7 +173,7 @@ def read_cells(image, part, sums, placement, horizon_px, patch):
     first, weights = _columns_of(placement, part[LEFT], cells)
     left = np.int64(first[0])
     columns = min(np.int64(first[-1]) + weights.shape[1], sums.shape[1]) - left
-    ramp, strip = np.arange(columns).astype(np.float32), np.zeros(columns + weights.shape[1], np.float32)
+    ramp, strips = np.arange(columns).astype(np.float32), np.zeros((ABREAST, columns + weights.shape[1]), np.float32)
     for i in range(cells):
         first[i] -= np.uint32(left)
     away = part[LEFT] + left - placement[X]
@@ -181,19 +183,32 @@ def read_cells(image, part, sums, placement, horizon_px, patch):
         slope = -below_horizon * placement[KEYSTONE] / placement[WIDTH]
         end = horizon_px + 0.5 + below_horizon + slope * away - part[TOP]
         if j > 0:
-            _strip(image, part, sums, left, start, start_slope, end, slope, ramp, strip[:columns])
-            _gather(strip, first, weights, patch[j - 1])
+            strip = strips[(j - 1) % ABREAST, :columns]
+            _strip(image, part, sums, left, start, start_slope, end, slope, ramp, strip)
+            if j % ABREAST == 0 or j == cells:
+                _gather(strips, first, weights, patch[(j - 1) // ABREAST * ABREAST : j])
         start, start_slope = end, slope
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _gather(strip, first, weights, out):
-    """The weighted sums of the columns of pixels under each cell."""
-    for i in range(len(out)):
-        begin, total = first[i], np.float32(0)
-        for t in range(weights.shape[1]):
-            total += weights[i, t] * strip[begin + t]
-        out[i] = total
+def _gather(strips, first, weights, out):
+    """The weighted sums of the columns of pixels under each cell, for at most four rows of cells at once."""
+    columns, rows = weights.shape[1], len(out)
+    for i in range(len(first)):
+        one = two = three = four = np.float32(0)
+        for t in range(columns):
+            weight, n = weights[i, t], first[i] + np.uint32(t)
+            one += weight * strips[0, n]
+            two += weight * strips[1, n]
+            three += weight * strips[2, n]
+            four += weight * strips[3, n]
+        out[0, i] = one
+        if rows == ABREAST:
+            out[1, i], out[2, i], out[3, i] = two, three, four
+        elif rows > 1:
+            out[1, i] = two
+            if rows > 2:
+                out[2, i] = three
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -286,6 +286,13 @@ def robust_step(
     return -np.linalg.solve(hessian, np.einsum("b,bni,bn->i", weights, rows, deviations))
 
 
+def follow_on(step: np.ndarray, before: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """A step (parts,) whose first two, of a target of this size (2,), tell all that would follow in a series."""
+    now, then = step[:2] * size, before[:2] * size
+    share = np.clip(now @ then / (then @ then + 1e-12), 0, 0.5)
+    return np.concatenate([step[:2] / (1 - share), step[2:]])
+
+
 def slope_directions(patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Central differences along the rows and down (2, cells, cells), over their size and a floor; 0 at the border.
 

@@ -173,8 +173,7 @@ class RigidFollower:
         placement = found.placement
         if pyramid.first_row:
             placement[Y] += pyramid.first_row
-        _, _, width, height, _ = placement.tolist()
-        aspect = width / height / self._learned_aspect
+        aspect = float(placement[WIDTH]) / float(placement[HEIGHT]) / self._learned_aspect
         low, high = self._settings.aspects
         confidence = found.confidence if low <= aspect <= high else 0.0
         return Look(placement, confidence, found.share, alike=found.alike, tells_angle=not self._is_place)

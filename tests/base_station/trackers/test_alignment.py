@@ -11,6 +11,7 @@ from base_station.evaluation.worlds import generated_world
 from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform import alignment_kernels, cells, kernels, reference, resemblance
 from base_station.trackers.ztransform.alignment import Aligner, AlignmentSettings
+from base_station.trackers.ztransform.appearance import appearances
 from base_station.trackers.ztransform.boxes import sample_boxes
 from base_station.trackers.ztransform.outline import lens_of
 from base_station.trackers.ztransform.pieces import count_votes
@@ -144,12 +145,44 @@ def test_reading_is_exact_at_the_frame_s_very_edge():
 
 
 @pytest.mark.parametrize(
+    ("disturbance", "left"),
+    [
+        (Disturbance(gamma=1.3), 0.05),
+        (Disturbance(gamma=0.7), 0.15),
+        (Disturbance(gradient=30), 0.1),
+        (Disturbance(blur_px=9), 0.25),
+    ],
+)
+def test_appearance_explains_what_light_and_blur_change(worlds, disturbance, left):
+    """Least squares with an offset and a gain leave a misfit; with the learned changes besides, little of it."""
+
+    def read(pyramid):
+        patch = np.empty((48, 48), np.float32)
+        assert cells.read_inside(pyramid.image, PLACEMENT, LENS[3], patch)
+        return patch
+
+    learned = Pyramid(reference_view(worlds[0]))
+    patch, rng = read(learned).ravel(), np.random.default_rng(0)
+    seen = read(Pyramid(disturbed_view(worlds[0], disturbance, rng))).ravel()
+    plain = [np.ones_like(patch), patch]
+    looks = [look.ravel() for look in appearances(learned, PLACEMENT, read)]
+    misfits = []
+    for known in (plain, plain + looks):
+        found = np.linalg.lstsq(np.stack(known, 1), seen, rcond=None)[0]
+        misfits.append(((seen - np.stack(known, 1) @ found) ** 2).sum())
+    assert misfits[1] < left * misfits[0]
+
+
+@pytest.mark.parametrize(
     ("disturbance", "px"),
     [
         (Disturbance(dx=3.7), 0.015),
         (Disturbance(dx=-20.21, noise=10), 0.06),
         (Disturbance(dx=8.4, gain=0.5, offset=30), 0.03),
-        (Disturbance(dx=8.4, gamma=1.8), 0.05),
+        (Disturbance(dx=8.4, gamma=1.8), 0.01),
+        (Disturbance(dx=8.4, gamma=0.5), 0.01),
+        (Disturbance(dx=-3.3, gradient=40), 0.01),
+        (Disturbance(dx=5.6, blur_px=9), 0.03),
         (Disturbance(dx=-6.1, zoom=1.2), 0.03),
     ],
 )
@@ -167,7 +200,7 @@ def test_it_settles_where_the_target_is(worlds, aligner, disturbance, px):
 def plainly_settled(aligner, pyramid, placement):
     """`Aligner.settle`, step by step in plain numpy; of a target that lies in the frame, confidence too."""
     settings, reader, fine = aligner._settings, aligner._reader, aligner._fine
-    placement, confidence = placement.copy(), None
+    placement, confidence, before = placement.copy(), None, None
     for turn in range(settings.steps + 1):
         patch, seen, share = reader.means(pyramid, placement, LENS, reader.cells)
         if turn == settings.steps:
@@ -181,8 +214,11 @@ def plainly_settled(aligner, pyramid, placement):
                 long_px = np.hypot(step[0] * placement[2], step[1] * placement[3])
         then, now = (blocks - blocks.mean(1, keepdims=True) for blocks in (learned[shown.all(1)], cut[shown.all(1)]))
         unlike = 1 - (then * now).sum() / np.sqrt((then**2).sum() * (now**2).sum())
+        if turn > 0:
+            step = reference.follow_on(step, before, placement[2:4])
+        before = step
         kernels.move(placement, step, settings.largest_step)
-        if long_px < settings.repeat_px and (turn == settings.steps - 1 or long_px * unlike < settings.exact_px):
+        if long_px < settings.repeat_px and (turn > 0 or long_px * unlike < settings.exact_px):
             break
     if share == 1:
         learned = reader.means(aligner.seen, PLACEMENT, LENS, reader.cells)[0]
