@@ -75,8 +75,8 @@ class _Session:
     lowest_unit: int
     rows: RowSwitch | None = None
     """None: this robot sends whole frames only."""
-    asks_first: bool = False
-    """Other rows are asked for before a frame is handed out, not after: see `_receive`."""
+    stepped: bool = False
+    """Lockstep. Other rows are asked for before a frame is handed out, not after: see `_receive`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +160,7 @@ class Link:
             time_s=self._clock.time_s((session.raw.address, arrival.number), arrival.arrival_s),
             camera=session.camera,
             connection=session.raw.address,
+            stepped=session.stepped,
         )
         return frame, arrival.arrival_s
 
@@ -275,7 +276,7 @@ class Link:
             self._offer(arrival)
             return
         session.rows.check(arrival.number, arrival.format)
-        if session.asks_first:
+        if session.stepped:
             session.rows.act(session.raw)
             self._offer(arrival)
         else:
@@ -311,7 +312,7 @@ class Link:
             self._camera(hello.format, hello),
             MIN_UNIT,
             RowSwitch(self.control_line(), hello.format, raw.address) if self.settings.rows and knows_rows else None,
-            asks_first=stepped,
+            stepped=stepped,
         )
 
     def _open_plain(self) -> _Session:

@@ -31,6 +31,8 @@ class Frame:
     first_row: int = 0
     full_height: int = 0
     """Of the whole frame; 0: the image is whole."""
+    stepped: bool = False
+    """Lockstep: the robot's time stands until this frame is answered, so who needs time may take it."""
 
     @property
     def shape(self) -> tuple[int, int]:

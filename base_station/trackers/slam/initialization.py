@@ -107,8 +107,6 @@ class Initializer:
             if len(rows) >= self.settings.least_matches:
                 break
         found = features.xy_px[matches[rows]]
-        if len(rows):  # what was not found has gone along with the rest
-            first.expected_px += np.median(found - first.expected_px[rows], axis=0)
         first.expected_px[rows] = found
         return rows, matches[rows]
 

@@ -10,7 +10,7 @@ import numpy as np
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, match_epipolar
-from base_station.trackers.slam.se3 import camera_centers, inverse, transform
+from base_station.trackers.slam.se3 import camera_centers, inverse, rotation_angle_rad, transform
 from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
 
 
@@ -28,15 +28,17 @@ class NewPointSettings:
     """...so many times the angle that a keypoint may be off: a tenth of the depth is uncertain then. Points
     less sure are not wrong at random, they are too near: with them a turning camera loses its scale."""
     starving: int = 120
-    """A keyframe that sees fewer points is about to lose the map (a quick turn): for it..."""
+    """A keyframe that sees fewer points..."""
+    quick_rad_s: float = math.radians(60.0)
+    """...in a turn as quick as this is about to lose the map: what comes into view leaves it within some pictures..."""
     starving_sigmas: float = 4.0
-    """...less sure points are better than none."""
+    """...so for it less sure points are better than none. Only then: with them all the way, the map shrinks."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
     """Triangulate what this keyframe's free features show together with neighbours'; the new rows."""
     made = []
-    if np.count_nonzero(world.point_of[keyframe] >= 0) < settings.starving:
+    if _is_starving(world, keyframe, settings):
         least = settings.starving_sigmas / settings.least_sigmas
         settings = replace(
             settings, least_sigmas=settings.starving_sigmas, least_parallax_rad=least * settings.least_parallax_rad
@@ -44,6 +46,15 @@ def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPoin
     for other in world.neighbours(keyframe, settings.neighbours):
         made.append(_between(world, keyframe, int(other), camera, settings))
     return np.concatenate(made) if made else np.empty(0, np.int32)
+
+
+def _is_starving(world: Map, keyframe: int, settings: NewPointSettings) -> bool:
+    if np.count_nonzero(world.point_of[keyframe] >= 0) >= settings.starving:
+        return False
+    before = world.keyframes_alive(int(world.component[keyframe]))
+    before = before[before < keyframe][-1:]
+    turned_rad = [rotation_angle_rad(world.poses[keyframe, :3, :3] @ world.poses[row, :3, :3].T) for row in before]
+    return any(turned_rad >= settings.quick_rad_s * np.abs(world.time_s[keyframe] - world.time_s[before]))
 
 
 def median_depth(world: Map, keyframe: int) -> float:

@@ -22,8 +22,9 @@ class AtlasSettings:
 
     near_s: float = 1.0
     """After a loss, for so long it is also looked for around the last picture."""
-    new_map_after_s: float = 1.5
-    """After so long lost, a new map may begin."""
+    new_map_after_s: float = 0.5
+    """After so long lost, a new map may begin, with the pictures since the loss. What is lost in a quick turn is not
+    seen again soon, and both maps are joined when it is."""
     least_keyframes: int = 5
     """A map with fewer keyframes is forgotten when it is lost."""
 

@@ -39,7 +39,7 @@ MOST_FIRST_TRIES = 5
 LOST_SMALL_FRAMES = 3
 JITTER_S = 0.1
 """By which pictures of a live camera may come early."""
-MOST_AHEAD_S, LOOK_EVERY_S = 5.0, 0.5
+MOST_AHEAD_S, LONGEST_WAIT_S, LOOK_EVERY_S = 5.0, 30.0, 0.5
 
 
 @dataclass
@@ -117,13 +117,14 @@ class SlamSystem:
 
     # --- pictures ---------------------------------------------------------------------------------------------------
 
-    def track(self, image: np.ndarray, time_s: float) -> SlamFrame:
-        """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason."""
+    def track(self, image: np.ndarray, time_s: float, *, wait: bool = False) -> SlamFrame:
+        """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason. `wait`: until the
+        mapper has finished with the pictures before (lockstep), as if it needed no time."""
         self._counts.frames += 1
         self.last_picture = None
         began = time.perf_counter()
         self._take(self._link.receive())
-        self._let_mapper_keep_up(time_s)
+        self._let_mapper_keep_up(time_s, wait)
         self._time("updates", began)
         wrong = self._wrong(image)
         if wrong:
@@ -138,14 +139,16 @@ class SlamSystem:
         self._time("tracking", began)
         return self._lost(time_s, found) if isinstance(found, str) else self._located(picture, found)
 
-    def _let_mapper_keep_up(self, time_s: float) -> None:
-        """Pictures that come faster than their own time passes (a simulation in lockstep, a file) wait for the mapper
-        as long as the camera would have taken. Pictures of a live camera are never ahead."""
+    def _let_mapper_keep_up(self, time_s: float, wait: bool) -> None:
+        """Pictures that come faster than their own time passes (a simulation, a file) wait for the mapper as long as
+        the camera would have taken. Pictures of a live camera are never ahead."""
         if not self._link.waiting():
             self._caught_up = time_s, time.monotonic()
             return
         since_s, clock_s = self._caught_up
         until_s = clock_s + min(time_s - since_s, MOST_AHEAD_S) - JITTER_S
+        if wait:
+            until_s = time.monotonic() + LONGEST_WAIT_S
         while self._link.waiting() and self._link.alive() and (left_s := until_s - time.monotonic()) > 0:
             self._take(self._link.receive(min(left_s, LOOK_EVERY_S)))
 

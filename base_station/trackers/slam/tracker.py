@@ -116,7 +116,7 @@ class SlamTracker(PatchTracker):
         slam, learned = self._slam, self._learned
         if slam is None or learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        seen = slam.track(frame.image, frame.time_s)
+        seen = slam.track(frame.image, frame.time_s, wait=frame.stepped)
         pose = self._pose = seen.cam_from_world
         self._frames += 1
         if pose is not None:

@@ -1,8 +1,9 @@
 """Following the camera from frame to frame: predict, find the last picture's points again, then the local map's.
 
-Three ways to a first pose, the cheap one first: the last motion goes on (constant velocity); the last picture's points
-are looked for everywhere, which forgives any jerk or turn; the reference keyframe's points are. Each gives matches, and
-the matches a pose. The local map then adds all other points that should be in view, and the pose is fitted to all.
+Four ways to a first pose, the cheap one first: the last motion goes on (constant velocity); the pictures themselves
+tell the turn (`turning.py`), and all points around are looked for; the last picture's points are looked for everywhere,
+which forgives any jerk or turn; the reference keyframe's points are. Each gives matches, and the matches a pose. The
+local map then adds all other points that should be in view, and the pose is fitted to all.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, Grid, match_everywhere, match_projections
 from base_station.trackers.slam.pose_optimization import PoseFit, optimize_pose
 from base_station.trackers.slam.se3 import camera_centers, pose_of, relative, rotation_angle_rad, transform
+from base_station.trackers.slam.turning import turn_between
 from base_station.trackers.slam.visibility import expect
 
 
@@ -135,7 +137,7 @@ class FrameTracker:
         guess = before if self._velocity is None else self._velocity @ before
         reference = self._map.living(last.reference)
         points = self._map.current(last.picture.point_of)
-        for way in (self._by_motion, self._by_likeness, self._by_keyframe):
+        for way in (self._by_motion, self._by_turn, self._by_likeness, self._by_keyframe):
             fit = way(picture, guess, last.picture, points, reference)
             if fit is not None:
                 found = self.by_local_map(picture, fit, reference, self.settings.least_sure_inliers)
@@ -204,6 +206,26 @@ class FrameTracker:
             if fit is not None:
                 return fit
         return None
+
+    def _by_turn(
+        self, picture: Picture, guess: np.ndarray, last: Picture, points: np.ndarray, reference: int
+    ) -> PoseFit | None:
+        """With the turn that the picture itself tells, all points around are looked for, not only the last ones."""
+        before = self.last_pose
+        assert before is not None
+        expected_turn = guess[:3, :3] @ before[:3, :3].T
+        turn = turn_between(last.features, picture.features, picture.grid, expected_turn, self._camera)
+        if turn is not None:
+            rotation = turn @ before[:3, :3]
+            guess = pose_of(rotation, -rotation @ camera_centers(guess))
+        seen = points[points >= 0]
+        around = np.concatenate([seen, local_map(self._map, seen, reference).open_points])
+        expected = expect(self._map, around, guess, self._camera)
+        matches = match_projections(
+            expected.uv_px, 3.0 * expected.radius_px, expected.octave_range, self._map.descriptors[expected.rows],
+            picture.features, picture.grid, ratio=0.8,
+        )  # fmt: skip
+        return self._first(picture, matches, expected.rows, guess)
 
     def _by_likeness(
         self, picture: Picture, guess: np.ndarray, last: Picture, points: np.ndarray, reference: int
