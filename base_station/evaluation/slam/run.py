@@ -175,6 +175,8 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
         "loops": statistics.loops,
         "merges": statistics.merges,
         "relocalizations": statistics.relocalizations,
+        "focal_length_px": (statistics.camera or sequence.camera).fx,
+        "distortion": list((statistics.camera or sequence.camera).distortion),
         "closures": [asdict(closure) for closure in statistics.closures],
         "finish_s": run.finish_s,
         "memory_mib": run.memory_mib,

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from base_station.trackers.slam.camera import SlamCamera
 from base_station.types import TrackingState
 
 
@@ -46,7 +47,8 @@ class Closure:
 @dataclass(frozen=True, kw_only=True)
 class SlamStatistics:
     """Counts since the start. `closures`: in order; loops and merges are counted apart. `timings_ms`: of every stage, a
-    list with one entry per run."""
+    list with one entry per run. `camera`: the one it was
+    given, or what the whole map has made of it (`lens.py`); None where nothing is known of that."""
 
     frames: int = 0
     tracked: int = 0
@@ -57,4 +59,5 @@ class SlamStatistics:
     merges: int = 0
     relocalizations: int = 0
     closures: tuple[Closure, ...] = ()
+    camera: SlamCamera | None = None
     timings_ms: dict[str, list[float]] = field(default_factory=dict)
