@@ -50,14 +50,19 @@ class Lens:
         return np.asarray(self.zoom * np.sqrt(grown))
 
     def of(self, camera: SlamCamera) -> SlamCamera:
-        """The camera with this lens; where it had a distortion, the two are put together up to the fourth power."""
+        """The camera with this lens; where it had a distortion, the two are put together up to the sixth power."""
+        if self == Lens():
+            return camera
         z, k = self.zoom, self.radial
         k1, k2, p1, p2, k3 = (*camera.distortion, *(0.0,) * 5)[:5]
-        both = (k1 * z**2 + k, k2 * z**4 + 3.0 * k * k1 * z**2, p1 * z, p2 * z, k3 * z**6)
-        size = len(camera.distortion) or 4
+        sixth = k3 * z**6 + 5.0 * k * k2 * z**4 + 3.0 * k**2 * k1 * z**2
+        both = (k1 * z**2 + k, k2 * z**4 + 3.0 * k * k1 * z**2, p1 * z, p2 * z)
         return replace(
-            camera, fx=camera.fx * z, fy=camera.fy * z, distortion=both[:size] if any(both) else camera.distortion
-        )  # fmt: skip
+            camera,
+            fx=camera.fx * z,
+            fy=camera.fy * z,
+            distortion=(*both, sixth) if sixth else both if any(both) else (),
+        )
 
 
 def through(features: Features, before: Lens, lens: Lens, camera: SlamCamera) -> Features:

@@ -2,7 +2,7 @@
 
 A focal length that is wrong by a percent bends a map: each of its parts fits well, and the whole does not. Printed or
 assumed focal lengths are off by as much. The cost of a bundle adjustment over the focal length (fx and fy together) and
-one radial coefficient is a quadric near its lowest place: six adjustments give where that is, and how surely.
+one radial coefficient is a quadric near its lowest place: seven adjustments give where that is, and how surely.
 
 It is weighed against the calibration: `SlamCamera.focal_sigma` and `radial_sigma` say how sure that is. A map of one
 straight way says little, and then the calibration stays; so it does when the correction could be chance.
@@ -26,9 +26,11 @@ FEWEST, MOST = 8, 100
 """Keyframes that are asked: of a larger map, so many, evenly."""
 STEPS = np.array([0.01, 0.01])
 """To either side: of the zoom's logarithm, and of the radial coefficient."""
+OFFSETS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1), (-1, -1)])
+"""In steps, where the cost is asked for."""
 FARTHEST = 3.0
 """Steps, in one round."""
-ROUNDS = 6
+ROUNDS = 10
 ITERATIONS, ENOUGH = 25, 1e-6
 UNCERTAINTY = 2.0
 """The errors of one point or place are alike, and say less than so many independent ones: what they leave uncertain is
@@ -61,9 +63,16 @@ def _most_likely(
     prior = np.diag(1.0 / sigmas**2)
     place = start.copy()
     for _ in range(ROUNDS):
-        problem, gradient, curve = _quadric(problem, camera, scales, place)
-        if not (np.isfinite(curve).all() and (np.linalg.eigvalsh(curve) > 0).all()):
+        problem, costs = _costs_about(problem, camera, scales, place)
+        if not np.isfinite(costs).all():
             return None
+        gradient, curve = _quadric(costs)
+        if not (np.linalg.eigvalsh(curve) > 0).all():  # far from the lowest place: downhill
+            lowest = int(np.argmin(costs))
+            if lowest == 0:
+                return None
+            place = place + OFFSETS[lowest] * STEPS
+            continue
         information = curve / (2.0 * UNCERTAINTY**2) + prior  # a chi-square is twice a log likelihood
         step = -np.linalg.solve(information, gradient / (2.0 * UNCERTAINTY**2) + prior @ place)
         if (np.abs(step) <= STEPS).all():
@@ -76,22 +85,22 @@ def _most_likely(
     return None
 
 
-def _quadric(
+def _costs_about(
     problem: BundleProblem, camera: SlamCamera, scales: np.ndarray, place: np.ndarray
-) -> tuple[BundleProblem, np.ndarray, np.ndarray]:
-    """The problem solved at `place`; gradient (2,) and second derivatives (2, 2) of the lowest cost about it."""
-    zoom, radial = np.diag(STEPS)
+) -> tuple[BundleProblem, np.ndarray]:
+    """The problem solved at `place`, and the lowest costs there and at all other `OFFSETS`, (7,)."""
     middle, solved = _adjusted(problem, camera, scales, place)
-    ahead_zoom, ahead_radial, ahead_both, back_zoom, back_radial, back_both = (
-        _adjusted(solved, camera, scales, place + off)[0]
-        for off in (zoom, radial, zoom + radial, -zoom, -radial, -zoom - radial)
-    )
-    gradient = np.array([ahead_zoom - back_zoom, ahead_radial - back_radial]) / (2.0 * STEPS)
-    both = (ahead_both + back_both - ahead_zoom - back_zoom - ahead_radial - back_radial + 2.0 * middle) / 2.0
-    curve = np.array(
-        [[ahead_zoom + back_zoom - 2.0 * middle, both], [both, ahead_radial + back_radial - 2.0 * middle]]
-    ) / np.outer(STEPS, STEPS)  # fmt: skip
-    return solved, gradient, curve
+    around = [_adjusted(solved, camera, scales, place + off * STEPS)[0] for off in OFFSETS[1:]]
+    return solved, np.array([middle, *around])
+
+
+def _quadric(costs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (2,) and second derivatives (2, 2) of the quadric through the costs at `OFFSETS`."""
+    middle, zoom, radial, both, zoom_back, radial_back, both_back = costs
+    gradient = np.array([zoom - zoom_back, radial - radial_back]) / (2.0 * STEPS)
+    mixed = (both + both_back - zoom - zoom_back - radial - radial_back) / 2.0 + middle
+    curve = np.array([[zoom + zoom_back - 2.0 * middle, mixed], [mixed, radial + radial_back - 2.0 * middle]])
+    return gradient, curve / np.outer(STEPS, STEPS)
 
 
 def _adjusted(
