@@ -76,6 +76,8 @@ def through(features: Features, before: Lens, lens: Lens, camera: SlamCamera) ->
 def look_through(world: Map, lens: Lens, camera: SlamCamera) -> None:
     """Let all keypoints of the map be where this lens has them."""
     before = Lens(*world.lens)
+    if lens == before:
+        return
     for row, features in world.features.items():
         world.features[row] = through(features, before, lens, camera)
     world.lens = lens.zoom, lens.radial
