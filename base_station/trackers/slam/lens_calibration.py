@@ -22,8 +22,8 @@ from base_station.trackers.slam.lens import Lens
 from base_station.trackers.slam.local_bundle import part_of
 from base_station.trackers.slam.map import Map
 
-FEWEST, MOST = 8, 100
-"""Keyframes that are asked: of a larger map, so many, evenly."""
+FEWEST, MOST, STRETCHES = 8, 100, 4
+"""Keyframes that are asked: of a larger map, so many, in stretches of its way, each of which sees the same points."""
 STEPS = np.array([0.01, 0.01])
 """To either side: of the zoom's logarithm, and of the radial coefficient."""
 OFFSETS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1), (-1, -1)])
@@ -47,13 +47,21 @@ def calibrated(world: Map, component: int, camera: SlamCamera) -> Lens | None:
     sigmas = np.array([camera.focal_sigma, camera.radial_sigma])
     if len(keyframes) < FEWEST or not (sigmas > 0).all():
         return None
-    keyframes = keyframes[:: math.ceil(len(keyframes) / MOST)]
+    keyframes = _asked(keyframes)
     part = part_of(world, keyframes[1:], keyframes[:1], world.points_alive(component))
     if part is None:
         return None
     now = Lens(*world.lens)
     problem = replace(part[0], uv_px=now.seen(part[0].uv_px, camera))
     return _most_likely(problem, camera, world.scales, np.array([math.log(now.zoom), now.radial]), sigmas)
+
+
+def _asked(keyframes: np.ndarray) -> np.ndarray:
+    if len(keyframes) <= MOST:
+        return keyframes
+    length = MOST // STRETCHES
+    begins = np.linspace(0, len(keyframes) - length, STRETCHES).astype(np.int64)
+    return np.concatenate([keyframes[begin : begin + length] for begin in begins])
 
 
 def _most_likely(

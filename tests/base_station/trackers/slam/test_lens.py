@@ -149,7 +149,8 @@ def test_too_few_keyframes_say_nothing(monkeypatch):
 
 
 def test_a_large_map_is_asked_in_part(monkeypatch):
-    monkeypatch.setattr(lens_calibration, "MOST", KEYFRAMES // 2)
+    monkeypatch.setattr(lens_calibration, "MOST", 8)
+    monkeypatch.setattr(lens_calibration, "STRETCHES", 2)
     found = calibrated(seen_map(np.random.default_rng(0), LENS, straight=False), 0, CAMERA)
     assert found is not None
     assert found.zoom == pytest.approx(LENS.zoom, abs=0.009)  # drawn towards the calibration, as fewer say less
