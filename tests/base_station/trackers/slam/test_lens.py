@@ -11,17 +11,21 @@ from base_station.trackers.slam import lens_calibration, whole_bundle
 from base_station.trackers.slam.bundle_kernels import adjust_with_cost
 from base_station.trackers.slam.bundle_problem import BundleProblem
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.features import FeatureSettings
 from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.lens_calibration import calibrated
 from base_station.trackers.slam.local_bundle import BundleSettings
 from base_station.trackers.slam.map import Map
 from base_station.trackers.slam.se3 import exponential
 from base_station.trackers.slam.sim3 import align, transform
+from base_station.trackers.slam.system import SlamSettings, SlamSystem
+from base_station.types import TrackingState
+from tests.base_station.trackers.slam.room import Room, small_camera, standing
 from tests.base_station.trackers.slam.scene import SCALES, box_of_points, features_of, project, random_looks
 
 CAMERA = SlamCamera(width_px=640, height_px=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
 LENS = Lens(zoom=1.02, radial=-0.03)
-POINTS, KEYFRAMES = 250, 12
+POINTS, KEYFRAMES = 150, 10
 
 
 def picture_points() -> np.ndarray:
@@ -184,3 +188,32 @@ def test_all_keypoints_follow_the_lens():
     assert np.abs(later.xy_px - before.xy_px).max() > 1.0
     look_through(world, Lens(), CAMERA)
     assert np.abs(world.features[3].xy_px - before.xy_px).max() < 1e-3
+
+
+def test_the_system_goes_on_with_another_lens(monkeypatch):
+    """Begun with a focal length that is 5 % too short; a way as short as this one would not tell."""
+    monkeypatch.setattr(whole_bundle, "calibrated", lambda *_: Lens(zoom=1 / 0.95))
+    true = small_camera()
+    wrong = replace(true, fx=0.95 * true.fx, fy=0.95 * true.fy)
+    room = Room(true)
+    way = [
+        standing(0.6 * np.sin(k / 15), -0.8 + 0.3 * np.cos(k / 20), 0.3 * np.sin(k / 12), 0.2 * np.sin(k / 9))
+        for k in range(80)
+    ]
+    with SlamSystem(wrong, settings=SlamSettings(features=FeatureSettings(count=600)), single_process=True) as slam:
+        for k, pose in enumerate(way[:70]):
+            slam.track(room.picture(pose), k / 30)
+        before = slam.statistics()
+        assert before.camera == wrong
+        slam.finish()
+        found = slam.statistics().camera
+        assert found is not None
+        assert found.fx == pytest.approx(true.fx)
+        after = [slam.track(room.picture(pose), (70 + k) / 30) for k, pose in enumerate(way[70:])]
+        assert {frame.state for frame in after} == {TrackingState.TRACKING}
+        assert min(frame.matches for frame in after) > 150
+        slam.finish()
+        trajectory = slam.trajectory()
+        places = np.array([pose[:3, 3] for _, pose in trajectory])
+        truth = np.array([way[round(time_s * 30)][:3, 3] for time_s, _ in trajectory])
+        assert np.linalg.norm(transform(align(places, truth), places) - truth, axis=1)[-10:].max() < 0.04
