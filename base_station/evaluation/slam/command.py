@@ -123,7 +123,8 @@ def write_output(folder: Path, sequence: SlamSequence, run: SlamRun) -> None:
     (folder / "frames.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     pictures = {float(time_s): path.name for time_s, path in zip(sequence.times_s, sequence.pictures, strict=True)}
     names = [pictures.get(float(time_s), f"{time_s:.6f}") for time_s in run.keyframes.times_s]
-    write_colmap(folder / "colmap", sequence.camera, run.keyframes, names, run.points)
+    camera = run.statistics.camera or sequence.camera
+    write_colmap(folder / "colmap", camera, run.keyframes, names, run.points)
     write_ply(folder / "map.ply", run.points, run.keyframes)
     plot_trajectory(folder / "trajectory.png", run.trajectory, sequence.truth, np.array([one.ms for one in run.shown]))
     plot_map(folder / "map.png", run.points, run.keyframes)

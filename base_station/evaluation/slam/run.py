@@ -176,6 +176,8 @@ def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:
         "loops_corrected": statistics.loops_corrected,
         "merges": statistics.merges,
         "relocalizations": statistics.relocalizations,
+        "focal_length_px": (statistics.camera or sequence.camera).fx,
+        "distortion": list((statistics.camera or sequence.camera).distortion),
         "closures": [asdict(closure) for closure in statistics.closures],
         "finish_s": run.finish_s,
         "memory_mib": run.memory_mib,

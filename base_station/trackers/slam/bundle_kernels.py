@@ -26,10 +26,29 @@ def adjust_small(
     problem: BundleProblem, intrinsics: np.ndarray, scales: np.ndarray, *, iterations: int = 6
 ) -> tuple[np.ndarray, np.ndarray]:
     """Better poses (K, 4, 4) and points (P, 3); keyframes that are `fixed` stay. `scales` (levels,): sigma in px."""
+    poses, points, _ = adjust_with_cost(problem, intrinsics, scales, iterations=iterations, enough=ENOUGH)
+    return poses, points
+
+
+def adjust_with_cost(
+    problem: BundleProblem,
+    intrinsics: np.ndarray,
+    scales: np.ndarray,
+    *,
+    iterations: int,
+    enough: float,
+    magnification: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """As `adjust_small`, and the cost of all observations then: chi-squares, those beyond the bound grow as their root.
+    `enough`: an iteration that lowers it by a smaller share is the last one. `magnification` (N,): how many px of the
+    picture one px is where each observation lies, when it is not one.
+    """
     moving = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
     order = np.argsort(problem.point * (len(moving) + 1) + moving[problem.keyframe] + 1, kind="stable")
     point, keyframe = problem.point[order].astype(np.int64), problem.keyframe[order].astype(np.int64)
     uv, weights = problem.uv_px[order], 1.0 / scales[problem.octave[order]] ** 2
+    if magnification is not None:
+        weights *= magnification[order] ** 2
     poses, points = problem.poses.copy(), problem.points.copy()
     slots = moving[keyframe]
     size = 6 * int((~problem.fixed).sum())
@@ -53,13 +72,13 @@ def adjust_small(
         if tried_cost < cost:
             gain, cost, poses, points = cost - tried_cost, tried_cost, tried_poses, tried_points
             damping = max(damping * 0.1, LEAST_DAMPING)
-            if gain < ENOUGH * cost:
+            if gain < enough * cost:
                 break
         else:
             damping *= 100.0
             if damping > MOST_DAMPING:
                 break
-    return poses, points
+    return poses, points, float(cost)
 
 
 @njit(cache=True, nogil=True)

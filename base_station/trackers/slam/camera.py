@@ -6,7 +6,7 @@ The model is OpenCV's (Brown-Conrady): k1, k2, k3 radial, p1, p2 tangential. Pix
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -18,6 +18,8 @@ from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
 COEFFICIENTS = (0, 4, 5)
 """How many distortion coefficients there may be: none, k1 k2 p1 p2, or k3 as the fifth."""
 SMALLEST_SIDE_PX = 64
+ASSUMED_SIGMA = 0.1
+"""`focal_sigma` and `radial_sigma` of a field of view that was only assumed."""
 NEWTON_STEPS = 12
 """Three or four do, but at the border of a lens that distorts much."""
 LEAST_DETERMINANT = 1e-2
@@ -41,6 +43,10 @@ class SlamCamera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    focal_sigma: float = 0.01
+    """Standard deviation of the focal lengths, as a share of them: how far the calibration is to be trusted..."""
+    radial_sigma: float = 0.02
+    """...and of k1. When one is 0, the calibration is exact, and is left alone."""
 
     def __post_init__(self) -> None:
         if min(self.width_px, self.height_px) < SMALLEST_SIDE_PX:
@@ -53,6 +59,8 @@ class SlamCamera:
             raise ValueError(f"focal lengths must be positive: fx {self.fx}, fy {self.fy}")
         if not (0 <= self.cx < self.width_px and 0 <= self.cy < self.height_px):
             raise ValueError(f"the principal point ({self.cx}, {self.cy}) lies outside of the picture")
+        if not (0 <= self.focal_sigma < 1 and 0 <= self.radial_sigma < 1):
+            raise ValueError(f"focal_sigma {self.focal_sigma} and radial_sigma {self.radial_sigma} must be from 0 to 1")
         if len(self.distortion) not in COEFFICIENTS:
             raise ValueError(f"distortion has {len(self.distortion)} numbers; it is k1 k2 p1 p2, and k3 where known")
 
@@ -62,7 +70,8 @@ class SlamCamera:
 
         The default field of view, 62.2 degrees, is the Raspberry Pi camera 2's.
         """
-        return cls.of(PinholeCamera.with_fov(width_px, height_px, fov_rad))
+        camera = cls.of(PinholeCamera.with_fov(width_px, height_px, fov_rad))
+        return replace(camera, focal_sigma=ASSUMED_SIGMA, radial_sigma=ASSUMED_SIGMA)
 
     @classmethod
     def of(cls, camera: PinholeCamera) -> SlamCamera:

@@ -55,6 +55,27 @@ def adjust(
     solver: Callable[..., tuple[np.ndarray, np.ndarray]] = adjust_small,
 ) -> None:
     """Bundle-adjust these keyframes and points in place; observations that do not fit are dropped then."""
+    part = part_of(world, moving, holding, points)
+    if part is None:
+        return
+    problem, used, rows, seers, features = part
+    poses, xyz = solver(problem, camera.intrinsics, world.scales, iterations=iterations)
+    if not (np.isfinite(poses).all() and np.isfinite(xyz).all()):
+        return
+    world.poses[moving] = poses[: len(moving)]
+    world.xyz[used] = xyz
+    world.mark(keyframes=moving, points=used)
+    _drop_misfits(
+        world, poses[problem.keyframe], xyz[problem.point], problem.uv_px, world.scales[problem.octave], camera,
+        rows, seers, features,
+    )  # fmt: skip
+
+
+def part_of(
+    world: Map, moving: np.ndarray, holding: np.ndarray, points: np.ndarray
+) -> tuple[BundleProblem, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """These keyframes and what two of them see of these points, as a problem; the points' rows in the map; and of each
+    observation the rows of its point and its keyframe, and its feature. None when there is nothing to adjust."""
     keyframes = np.concatenate([moving, holding]).astype(np.int64)
     rows, seers, features = world.observations(keyframes)
     wanted = np.zeros(world.point_count, np.bool_)
@@ -63,7 +84,7 @@ def adjust(
     kept = wanted[rows] & (counts[rows] >= 2)
     rows, seers, features = rows[kept], seers[kept], features[kept]
     if not len(rows):
-        return
+        return None
     uv, octave, _ = world.keypoints(seers, features)
     used, point = np.unique(rows, return_inverse=True)
     position = np.zeros(world.keyframe_count, np.int64)
@@ -72,13 +93,7 @@ def adjust(
     problem = BundleProblem(
         world.poses[keyframes], fixed, world.xyz[used], position[seers], point, uv, octave
     )  # fmt: skip
-    poses, xyz = solver(problem, camera.intrinsics, world.scales, iterations=iterations)
-    if not (np.isfinite(poses).all() and np.isfinite(xyz).all()):
-        return
-    world.poses[moving] = poses[: len(moving)]
-    world.xyz[used] = xyz
-    world.mark(keyframes=moving, points=used)
-    _drop_misfits(world, poses[position[seers]], xyz[point], uv, world.scales[octave], camera, rows, seers, features)
+    return problem, used, rows, seers, features
 
 
 def _drop_misfits(

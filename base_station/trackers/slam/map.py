@@ -39,7 +39,7 @@ POINT_COLUMNS = (
 @dataclass(frozen=True)
 class MapUpdate:
     """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened; `closure`:
-    the place that was recognised, if one was."""
+    the place that was recognised, if one was; `lens`: see `Map.lens`."""
 
     keyframes: np.ndarray
     points: np.ndarray
@@ -50,6 +50,7 @@ class MapUpdate:
     counts: dict[str, int] = field(default_factory=dict)
     timings_ms: dict[str, float] = field(default_factory=dict)
     closure: Closure | None = None
+    lens: tuple[float, float] = (1.0, 0.0)
 
 
 class Map:
@@ -58,6 +59,8 @@ class Map:
     def __init__(self, features_most: int, scales: np.ndarray) -> None:
         self.scales = scales
         """(levels,): how many picture px one px of each pyramid level is."""
+        self.lens = (1.0, 0.0)
+        """Zoom and radial distortion, beyond the camera's own, that its keypoints are free of: see `lens.Lens`."""
         self.keyframe_count = 0
         self.point_count = 0
         k, p = FIRST_KEYFRAMES, FIRST_POINTS
@@ -304,7 +307,9 @@ class Map:
         self._point_changed[:] = False
         columns = {name: getattr(self, name)[keyframes] for name in KEYFRAME_COLUMNS}
         columns |= {name: getattr(self, name)[points] for name in POINT_COLUMNS}
-        return MapUpdate(keyframes, points, columns, self.shared[keyframes, : self.keyframe_count], event=event)
+        return MapUpdate(
+            keyframes, points, columns, self.shared[keyframes, : self.keyframe_count], event=event, lens=self.lens
+        )
 
     def apply(self, update: MapUpdate) -> None:
         """Become as the Map that packed these changes."""

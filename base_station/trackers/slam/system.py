@@ -19,6 +19,7 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
 from base_station.trackers.slam.keyframe_decision import share_seen, wants_keyframe
+from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle
 from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, MapperProcess
@@ -130,7 +131,7 @@ class SlamSystem:
         if wrong:
             return self._lost(time_s, wrong)
         began = time.perf_counter()
-        features = self._extract(image)
+        features = self.features_of(image)
         picture = Picture(time_s, features, Grid.of(features.xy_px, self._camera.bounds_px))
         self.last_picture = picture
         self._time("features", began)
@@ -316,6 +317,7 @@ class SlamSystem:
         """Bring the tracker's copy of the map up to date."""
         for update in updates:
             self._map.apply(update)
+            look_through(self._map, Lens(*update.lens), self._camera)
             self._unsettled = update.event not in ("settled", "left as it is")
             if update.event in ("loop", "merge", "settled"):
                 self._tracker.stopped()
@@ -339,8 +341,8 @@ class SlamSystem:
         self._counts.timings_ms.setdefault(stage, []).append((time.perf_counter() - began) * 1e3)
 
     def features_of(self, image: np.ndarray) -> Features:
-        """The features of a picture, which is not tracked."""
-        return self._extract(image)
+        """The features of a picture, as the map's lens has them; it is not tracked."""
+        return through(self._extract(image), Lens(), Lens(*self._map.lens), self._camera)
 
     @property
     def map(self) -> Map:
@@ -411,6 +413,7 @@ class SlamSystem:
             merges=self._counts.merges,
             relocalizations=self._counts.relocalizations,
             closures=tuple(self._counts.closures),
+            camera=Lens(*self._map.lens).of(self._camera),
             timings_ms=self._counts.timings_ms,
         )
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from base_station.trackers.slam.camera import SlamCamera
 from base_station.types import TrackingState
 
 
@@ -47,7 +48,8 @@ class Closure:
 class SlamStatistics:
     """Counts since the start. `closures`: in order. `timings_ms`: of every stage, a list with one entry per run.
     `loops`: places of the same map that were recognised, verified and tied together; `loops_corrected`: those of them
-    that left an error to spread. The others (kind "confirmed") were right already."""
+    that left an error to spread. The others (kind "confirmed") were right already. `camera`:
+    the one it was given, or what the whole map has made of it (`lens.py`); None where nothing is known of that."""
 
     frames: int = 0
     tracked: int = 0
@@ -59,4 +61,5 @@ class SlamStatistics:
     merges: int = 0
     relocalizations: int = 0
     closures: tuple[Closure, ...] = ()
+    camera: SlamCamera | None = None
     timings_ms: dict[str, list[float]] = field(default_factory=dict)

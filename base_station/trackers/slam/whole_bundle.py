@@ -6,9 +6,13 @@ hundred keyframes the compiled solver is the quickest, although its matrix is de
 
 from __future__ import annotations
 
+import numpy as np
+
 from base_station.trackers.slam.bundle_adjustment import bundle_adjust
 from base_station.trackers.slam.bundle_kernels import adjust_small
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.lens import look_through
+from base_station.trackers.slam.lens_calibration import calibrated
 from base_station.trackers.slam.local_bundle import BundleSettings, adjust
 from base_station.trackers.slam.map import Map, refresh_points
 
@@ -21,10 +25,28 @@ ROUNDS = 2
 
 
 def adjust_whole(world: Map, component: int, camera: SlamCamera, settings: BundleSettings) -> bool:
-    """Adjust all keyframes and points of this map but its first keyframe; whether it was of a size to do so."""
-    keyframes = world.keyframes_alive(component)
-    if not FEWEST <= len(keyframes) <= LARGEST:
+    """Adjust all keyframes and points of this map but its first keyframe; whether it was of a size to do so.
+
+    What the map says of the lens is believed first (`lens_calibration`); the other maps are adjusted to it then, too.
+    """
+    if not _fit(world, component):
         return False
+    lens = calibrated(world, component, camera)
+    if lens is not None:
+        look_through(world, lens, camera)
+        for other in np.unique(world.component[world.keyframes_alive()]):
+            if other != component and _fit(world, int(other)):
+                _adjust(world, int(other), camera, settings)
+    _adjust(world, component, camera, settings)
+    return True
+
+
+def _fit(world: Map, component: int) -> bool:
+    return FEWEST <= len(world.keyframes_alive(component)) <= LARGEST
+
+
+def _adjust(world: Map, component: int, camera: SlamCamera, settings: BundleSettings) -> None:
+    keyframes = world.keyframes_alive(component)
     dense = len(keyframes) <= LARGEST_DENSE
     for _ in range(ROUNDS if dense else 1):
         adjust(
@@ -35,4 +57,3 @@ def adjust_whole(world: Map, component: int, camera: SlamCamera, settings: Bundl
     points = world.points_alive(component)
     world.count_observed(points)
     refresh_points(world, points, keyframes)
-    return True
