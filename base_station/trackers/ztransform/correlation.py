@@ -160,11 +160,40 @@ class CorrelationFilter:
         self._whole = self._transformed(channels)
         self._take(np.float32(1 / number), channels, mask, MIDDLE)
 
+    def keep(self) -> None:
+        """Remember what is learned by now, for `restore`, `recall` and `familiarity`."""
+        self._kept = self._numerator.copy(), self._energy.copy()
+
+    def restore(self) -> None:
+        """Forget what was learned since `keep`."""
+        self._numerator, self._energy = (part.copy() for part in self._kept)
+
     def find(self, channels: np.ndarray) -> Peak:
         """Where it is in this patch."""
         self._whole = self._transformed(channels)
-        respond(self._numerator, self._energy, self._least, self._whole, self._answer)
-        answer = cv2.dft(self._answer, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
+        return self._highest(self._answered(self._numerator, self._energy))
+
+    def recall(self, channels: np.ndarray) -> Peak:
+        """As `find`, for what was kept. `adapt` needs another `find` first."""
+        self._whole = self._transformed(channels)
+        return self._highest(self._answered(*self._kept))
+
+    def familiarity(self, peak: Peak) -> float:
+        """The sharpness of what was kept at (within a cell of) a peak of the patch that was last looked at."""
+        answer = self._answered(*self._kept)
+        _, _, _, mean, spread = highest(answer)
+        down, right = (
+            (round(place) + np.arange(-1, 2)) % n
+            for place, n in zip((peak.rows, peak.columns), self._shape, strict=True)
+        )
+        return float((answer[np.ix_(down, right)][..., 0].max() - mean) / spread)
+
+    def _answered(self, numerator: np.ndarray, energy: np.ndarray) -> np.ndarray:
+        respond(numerator, energy, self._least, self._whole, self._answer)
+        return cv2.dft(self._answer, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
+
+    @staticmethod
+    def _highest(answer: np.ndarray) -> Peak:
         row, column, height, mean, spread = highest(answer)
         return Peak(
             height=float(height),

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from base_station.trackers.ztransform.channels import ChannelReader, ChannelSettings, learn_light
-from base_station.trackers.ztransform.correlation import CorrelationFilter, FilterSettings
+from base_station.trackers.ztransform.correlation import CorrelationFilter, FilterSettings, Peak
 from base_station.trackers.ztransform.kernels import HEIGHT, WIDTH, X, Y
 from base_station.trackers.ztransform.pyramid import Pyramid
 
@@ -171,6 +171,32 @@ class LooseFollower:
             self._sample(pyramid, view, math.radians(turn_deg))
             read = self._read()
             self._position.learn_also(read, self._weighed(read, 0, 0), number)
+        self._position.keep()
+        self._zoom.keep()
+        self._kept_light = self._inside.copy(), self._outside.copy(), self._likelihood.copy()
+
+    @property
+    def learned(self) -> np.ndarray:
+        """The placement that it started at."""
+        return self._learned
+
+    def restore(self) -> None:
+        """Forget all that was learned since `start`."""
+        self._position.restore()
+        self._zoom.restore()
+        self._inside, self._outside, self._likelihood = (part.copy() for part in self._kept_light)
+        self.turn_rad = 0.0
+
+    def familiarity(self) -> float:
+        """How sharply the target as it was at `start` is seen where the last look saw it."""
+        return self._position.familiarity(self._peak)
+
+    def recall(self, pyramid: Pyramid, start: np.ndarray) -> Sighting:
+        """As `look`, for the target as it was at `start`, upright. `adapt` needs another `look` first."""
+        self._sample(pyramid, start)
+        read = self._channels.read(self._patch, self._kept_light[-1], self._settings.likelihood_weight)
+        peak = self._position.recall(read)
+        return Sighting(self._placed(pyramid, start, peak, 0.0), peak.sharpness)
 
     def upright(self) -> None:
         """The target stands as it was learned, says someone else."""
@@ -185,14 +211,8 @@ class LooseFollower:
             in_any_light = self._position.find(self._read_shape())
             peak = max(peak, in_any_light, key=lambda one: one.sharpness)
         self._peak = peak
-        placement, cell = start.copy(), self._side(start) / self._settings.cells
-        cosine, sine = math.cos(self.turn_rad) * cell, math.sin(self.turn_rad) * cell
-        x = placement[X] + cosine * peak.columns - sine * peak.rows
-        y = placement[Y] + sine * peak.columns + cosine * peak.rows
-        placement[X] = min(max(x, 0.0), pyramid.image.shape[1] - 1.0)
-        placement[Y] = min(max(y, 0.0), pyramid.image.shape[0] - 1.0)
-        self._found = placement
-        return Sighting(placement, peak.sharpness)
+        self._found = self._placed(pyramid, start, peak, self.turn_rad)
+        return Sighting(self._found, peak.sharpness)
 
     def resembles(self, pyramid: Pyramid, placement: np.ndarray) -> bool:
         """Whether the target is just here and upright, as someone else says, in whatever light."""
@@ -232,6 +252,16 @@ class LooseFollower:
             wanted = math.log(placement[WIDTH] / self._learned[WIDTH]) + min(max(step, -s.zoom_step), s.zoom_step)
             zoom = math.exp(min(max(wanted, -math.log(s.zoom_range)), math.log(s.zoom_range)))
             placement[[WIDTH, HEIGHT]] = zoom * self._learned[[WIDTH, HEIGHT]]
+
+    def _placed(self, pyramid: Pyramid, start: np.ndarray, peak: Peak, turn_rad: float) -> np.ndarray:
+        """Where the peak of a window about `start` lies in the frame."""
+        placement, cell = start.copy(), self._side(start) / self._settings.cells
+        cosine, sine = math.cos(turn_rad) * cell, math.sin(turn_rad) * cell
+        x = placement[X] + cosine * peak.columns - sine * peak.rows
+        y = placement[Y] + sine * peak.columns + cosine * peak.rows
+        placement[X] = min(max(x, 0.0), pyramid.image.shape[1] - 1.0)
+        placement[Y] = min(max(y, 0.0), pyramid.image.shape[0] - 1.0)
+        return placement
 
     def _side(self, placement: np.ndarray) -> float:
         _, _, width, height, _ = placement.tolist()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from base_station.trackers.ztransform.loose import LooseSettings
+from base_station.trackers.ztransform.recollection import RecollectionSettings
 from base_station.trackers.ztransform.rigid import RigidSettings
 
 
@@ -69,3 +70,5 @@ class ZTransformSettings:
     """Following what keeps its shape."""
     loose: LooseSettings = field(default_factory=LooseSettings)
     """Following what does not."""
+    recollection: RecollectionSettings = field(default_factory=RecollectionSettings)
+    """Noticing that the latter follows something else."""

@@ -21,6 +21,7 @@ from base_station.trackers.ztransform.motion import Motion
 from base_station.trackers.ztransform.outline import lens_of, outline, place_placement, to_pixel
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.reasons import check_box, pixel_texture, why_lost
+from base_station.trackers.ztransform.recollection import Recollection
 from base_station.trackers.ztransform.regression import RegressionSettings
 from base_station.trackers.ztransform.rigid import Look, RigidFollower
 from base_station.trackers.ztransform.settings import ZTransformSettings
@@ -53,6 +54,7 @@ class ZTransformTracker:
     def __init__(self, *, settings: ZTransformSettings | None = None) -> None:
         self._settings = settings or ZTransformSettings()
         self._rigid, self._loose = RigidFollower(self._settings.rigid), LooseFollower(self._settings.loose)
+        self._recollection = Recollection(self._loose, self._settings.recollection)
         self._learned: _Learned | None = None
         self._motion = Motion()
         self._seen: tuple[Pyramid, np.ndarray] | None = None
@@ -81,6 +83,7 @@ class ZTransformTracker:
         self._rigid.learn(pyramid, placement, lens, is_place=target is None)
         if target is not None:
             self._loose.start(pyramid, placement)
+            self._recollection.start()
         self._motion.start(placement, frame.time_s)
         self._candidate = None
         self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
@@ -164,6 +167,7 @@ class ZTransformTracker:
             return look, not self._is_loose and self._is_kept(look)
         if self._is_loose:
             loose = self._follow_loose(pyramid, time_s)
+            loose = self._recollected(pyramid, loose) or loose
             if loose is not None:
                 return loose, True
             if self._is_tracking:
@@ -240,6 +244,7 @@ class ZTransformTracker:
         assert self._learned is not None
         settings = self._settings
         self._is_loose, self._firm_s, self._candidate = False, time_s, None
+        self._recollection.start()
         if look.confidence < settings.firm or self._learned.is_place:
             return
         self._frames_firm += 1
@@ -275,7 +280,19 @@ class ZTransformTracker:
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
         placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
         self._is_loose = not proven
-        confidence = sighting.sharpness / (sighting.sharpness + least)
+        return self._loose_look(placement, sighting.sharpness)
+
+    def _recollected(self, pyramid: Pyramid, look: Look | None) -> Look | None:
+        """Elsewhere the loose target looks as it did when it was learned; what was followed (`look`) does not."""
+        placement = look.placement if look else self._motion.last
+        sighting = self._recollection.look(pyramid, placement, is_seen=look is not None)
+        if sighting is None:
+            return None
+        self._candidate, self._is_tracking = None, False
+        return self._loose_look(sighting.placement, sighting.sharpness)
+
+    def _loose_look(self, placement: np.ndarray, sharpness: float) -> Look:
+        confidence = sharpness / (sharpness + self._settings.loose.least_sharpness)
         return Look(placement, confidence, 1.0, tells_angle=False)
 
     def _is_possible(self, look: Look, shape: tuple[int, int]) -> bool:
