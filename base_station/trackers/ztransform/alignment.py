@@ -36,7 +36,7 @@ class AlignmentSettings:
     """How the patch is compared."""
 
     blocks: int = 8
-    """Along each side; divides the patch's cells."""
+    """Along each side; divides half of the patch's cells."""
     probe_cells: float = 0.25
     """How far the placement is moved to learn how the patch changes."""
     likely_step: tuple[float, ...] = (0.03, 0.03, 0.03, 0.03, 0.05)
@@ -70,11 +70,9 @@ class AlignmentSettings:
     """A block with a correlation above this is seen."""
 
 
-@dataclass(frozen=True)
-class _Level:
-    """What is learned of the patch, smoothed by `smoothing` cells; see `alignment_kernels`."""
+class _Level(NamedTuple):
+    """What is learned of the patch, as the kernels take it."""
 
-    smoothing: float
     planes: np.ndarray
     """float32 (3 + n, cells, cells): deviations from each block's mean; the directions of the slopes across and down;
     the n changes of the deviations, with the five parts of a step and with appearance."""
@@ -114,7 +112,8 @@ class Aligner:
             probes.append((ahead - back) / (2 * step[freedom]))
         patch = self._means(pyramid, placement, lens)[0]
         looks = appearances(pyramid, placement, lambda seen: self._means(seen, placement, lens)[0])
-        self._fine = self._level(patch, probes + looks, 0.0)
+        self._fine = self._level(patch, probes + looks)
+        self._rough = self._level(_halved(patch), [_halved(probe) for probe in probes])
         self._coarse = self._level(patch, probes, settings.smoothing_cells)
 
     def settle(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray, *, is_near: bool = False) -> Alignment:
@@ -124,12 +123,12 @@ class Aligner:
         if is_near:
             steps = self._settings.near_steps
             farthest_px = self._settings.near_cells * float(placement[WIDTH]) / self._reader.cells
-        settings, fine, placement, source = self._settings, self._fine, placement.copy(), _NOTHING
+        settings, placement, source = self._settings, placement.copy(), _NOTHING
         while True:
             confidence, share, alike = settle(
-                pyramid.image, *source, lens, placement, fine.planes, fine.block_sums, fine.products, fine.strong,
-                fine.prior, steps, settings.repeat_px, settings.exact_px, farthest_px, settings.largest_step,
-                settings.judged_part, settings.alike, settings.noisy_below, settings.fewest_pixels,
+                pyramid.image, *source, lens, placement, *self._rough, *self._fine, steps, settings.repeat_px,
+                settings.exact_px, farthest_px, settings.largest_step, settings.judged_part, settings.alike,
+                settings.noisy_below, settings.fewest_pixels,
             )  # fmt: skip
             if share != MORE_TO_READ:
                 return Alignment(placement, confidence, share, alike)
@@ -148,13 +147,11 @@ class Aligner:
     def _means(self, pyramid: Pyramid, placement: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         return self._reader.means(pyramid, placement, lens, self._reader.cells)
 
-    def _level(self, patch: np.ndarray, changes: list[np.ndarray], smoothing: float) -> _Level:
+    def _level(self, patch: np.ndarray, changes: list[np.ndarray], smoothing: float = 0.0) -> _Level:
         learned, *changes = (self._deviations(p, smoothing) for p in (patch, *changes))
         energies = self._in_blocks(np.square(learned))
         as_light = [self._in_blocks(change * learned) / (energies + 1e-3) for change in changes]
-        kept = [
-            c - a.repeat(self._side, 0).repeat(self._side, 1) * learned for c, a in zip(changes, as_light, strict=True)
-        ]
+        kept = [c - self._in_cells(a, len(c)) * learned for c, a in zip(changes, as_light, strict=True)]
         slopes = np.empty((2, *patch.shape), np.float32)
         slope_directions(patch, slopes, np.empty_like(patch))
         planes = np.concatenate([learned[None], slopes, np.stack(kept)]).astype(np.float32)
@@ -164,31 +161,30 @@ class Aligner:
         likely = np.ones(len(kept))
         likely[:FREEDOMS] = self._settings.likely_step
         prior = self._settings.doubt / np.square(likely)
-        return _Level(smoothing, planes, block_sums, products, float(np.median(energies)), prior)
-
-    @property
-    def _side(self) -> int:
-        """Of a block, in cells."""
-        return self._reader.cells // self._settings.blocks
+        return _Level(planes, block_sums, products, float(np.median(energies)), prior)
 
     def _in_blocks(self, values: np.ndarray) -> np.ndarray:
         """Sums of each block, (blocks, blocks) of them."""
-        blocks, side = self._settings.blocks, self._side
+        blocks, side = self._settings.blocks, len(values) // self._settings.blocks
         return np.asarray(values.reshape(blocks, side, blocks, side).sum((1, 3)))
 
+    def _in_cells(self, values: np.ndarray, cells: int) -> np.ndarray:
+        """The other way: to each of (cells, cells) the value of its block."""
+        side = cells // self._settings.blocks
+        return np.asarray(values.repeat(side, 0).repeat(side, 1))
+
     def _deviations(self, patch: np.ndarray, smoothing: float) -> np.ndarray:
-        smooth, side = _smoothed(patch, smoothing), self._side
-        means = self._in_blocks(smooth) / side**2
-        return np.asarray(smooth - means.repeat(side, 0).repeat(side, 1))
+        smooth, cells = _smoothed(patch, smoothing), len(patch)
+        return np.asarray(smooth - self._in_cells(self._in_blocks(smooth) * self._settings.blocks**2 / cells**2, cells))
 
     def _step(self, level: _Level, placement: np.ndarray, patch: np.ndarray, shown: np.ndarray) -> None:
         """Move the placement in place."""
         step, deviations, compared = np.zeros(FREEDOMS), np.empty_like(patch), np.empty((2, len(shown)), np.float32)
         planes, energies, gains = level.planes, level.block_sums[0], np.empty(len(shown), np.float32)
-        compare_blocks(_smoothed(patch, level.smoothing), shown, planes[0], deviations, compared)
+        compare_blocks(_smoothed(patch, self._settings.smoothing_cells), shown, planes[0], deviations, compared)
         usual = weigh_blocks(deviations, compared, energies, level.strong, gains)
         if usual > 0:
-            least_squares(deviations, gains, usual, planes[3:], level.products, level.prior, FREEDOMS, step)
+            least_squares(deviations, gains, usual, planes[3:], level.products, level.prior, step)
         move(placement, step, self._settings.largest_step)
 
 
@@ -200,6 +196,11 @@ def _moved(placement: np.ndarray, step: np.ndarray) -> np.ndarray:
     out = placement.copy()
     move(out, step, 1.0)
     return out
+
+
+def _halved(patch: np.ndarray) -> np.ndarray:
+    """Of cells twice as large, float32."""
+    return np.asarray(cv2.resize(patch.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
 
 
 def _smoothed(patch: np.ndarray, cells: float) -> np.ndarray:

@@ -153,15 +153,16 @@ def weigh_blocks(deviations, compared, energies, strong, gains):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def least_squares(deviations, gains, usual, changes, products, prior, parts, step):
-    """The step that brings the placement to the learned one, into `step`, when only so many parts may have changed.
+def least_squares(deviations, gains, usual, changes, products, prior, step):
+    """The step that brings the placement to the learned one, into `step`.
 
-    `deviations`, `gains`, `usual`: see `weigh_blocks`. `changes`: (n, cells, cells), those with the step first;
-    `products`: (n (n + 1) / 2, blocks) of any two, those of the first with itself, of the second with the first and
-    with itself, and so on. `prior`: (n,) 1 / variance of a part, against the misfit's variance.
+    `deviations`, `gains`, `usual`: see `weigh_blocks`. `changes`: (n, cells, cells), those with the step first, the
+    others' parts are left out of it; `products`: (n (n + 1) / 2, blocks) of any two, those of the first with itself,
+    of the second with the first and with itself, and so on. `prior`: (n,) 1 / variance of a part, against the
+    misfit's variance.
     """
+    parts, pair = len(changes), 0
     hessian, slope, found = np.empty((parts, parts)), np.empty(parts), np.empty(parts)
-    pair = 0
     for k in range(parts):
         slope[k] = -inner(changes[k].ravel(), deviations.ravel())
         for j in range(k + 1):
@@ -209,18 +210,34 @@ def solve(matrix, right, out):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def rough_step(image, part, sums, placement, horizon_px, planes, energies, products, strong, prior, step):
+    """The first step, on cells twice as large, for a third of the cost, into `step`; returns the `likeness` there."""
+    cells, blocks = planes.shape[1], len(energies)
+    patch, deviations = np.empty((cells, cells), np.float32), np.empty((cells, cells), np.float32)
+    shown, compared = np.ones(blocks, np.uint8), np.empty((2, blocks), np.float32)
+    gains = np.empty(blocks, np.float32)
+    read_cells(image, part, sums, placement, horizon_px, patch)
+    compare_blocks(patch, shown, planes[0], deviations, compared)
+    usual = weigh_blocks(deviations, compared, energies, strong, gains)
+    least_squares(deviations, gains, usual, planes[3:], products, prior, step)
+    return likeness(compared, energies)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
 def settle(
-    image, table, where, lens, placement, planes, block_sums, products, strong, prior, steps, repeat_px, exact_px,
-    farthest_px, largest_step, judged_part, alike, noisy_below, fewest_pixels,
+    image, table, where, lens, placement, rough_planes, rough_sums, rough_products, rough_strong, rough_prior, planes,
+    block_sums, products, strong, prior, steps, repeat_px, exact_px, farthest_px, largest_step, judged_part, alike,
+    noisy_below, fewest_pixels,
 ):  # fmt: skip
     """Improve `placement` in place by at most so many steps; returns confidence, share of it in the frame, share alike.
 
-    Read, compare, step; again while a step is longer than `repeat_px`, and once more after a first one that is longer
-    than `exact_px` in so far as what is seen differs from what was learned. With `farthest_px` below ANYWHERE_PX the
-    target is taken to be near: confidence is 0 where steps lead further away, do not end, or the first look has
-    little in common with it, from where they may lead anywhere. `planes` to `prior`: see `alignment`. `table`:
-    running sums of the whole frame, or nothing, and where they are (see `boxes`); only a placement that sticks out of
-    the frame needs them. `image`: the frame, whose noise is measured where confidence is below `noisy_below`.
+    First a rough step, where all of it lies in the frame. Then read, compare, step; again while a step is longer than
+    `repeat_px`, and once more after a first one that is longer than `exact_px` in so far as what is seen differs from
+    what was learned. With `farthest_px` below ANYWHERE_PX the target is taken to be near: confidence is 0 where steps
+    lead further away, do not end, or the first look has little in common with it, from where they may lead anywhere.
+    `rough_planes` to `prior`: see `alignment`. `table`: running sums of the whole frame, or nothing, and where they
+    are (see `boxes`); only a placement that sticks out of the frame needs them. `image`: the frame, whose noise is
+    measured where confidence is below `noisy_below`.
     """
     cells, blocks, horizon_px = planes.shape[1], block_sums.shape[1], lens[3]
     learned, slopes, changes = planes[0], planes[1:3], planes[3:]
@@ -230,6 +247,16 @@ def settle(
     gains, before = np.empty(blocks, np.float32), np.zeros(FREEDOMS)
     part, start_x, start_y = part_about(image, placement, horizon_px, 0.0), placement[X], placement[Y]
     sums, is_read, share, step = np.empty((0, 0), np.uint16), False, 1.0, np.zeros(FREEDOMS)
+    if is_inside(image, placement, horizon_px, cells // 2):
+        part = part_about(image, placement, horizon_px, MARGIN)
+        sums, is_read = sums_down(image, part), True
+        like = rough_step(
+            image, part, sums, placement, horizon_px, rough_planes, rough_sums[0], rough_products, rough_strong,
+            rough_prior, step,
+        )  # fmt: skip
+        if farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
+            return 0.0, share, 0.0
+        move(placement, step, largest_step)
     for turn in range(steps + 1):
         if is_inside(image, placement, horizon_px, cells):
             if not is_read or not covers(part, image, placement, horizon_px):
@@ -250,13 +277,13 @@ def settle(
                 return 0.0, share, 0.0
             break
         like = likeness(compared, energies)
-        if turn == 0 and farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
+        if turn == 0 and not is_read and farthest_px < ANYWHERE_PX and like < LEAST_ALIKE:
             return 0.0, share, 0.0
-        usual, long_px = weigh_blocks(deviations, compared, energies, strong, gains), 0.0
-        for parts in (FREEDOMS, len(changes)):
-            if usual > 0 and long_px < repeat_px:
-                least_squares(deviations, gains, usual, changes, products, prior, parts, step)
-                long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
+        usual = weigh_blocks(deviations, compared, energies, strong, gains)
+        step[:] = 0.0
+        if usual > 0:
+            least_squares(deviations, gains, usual, changes, products, prior, step)
+        long_px = math.hypot(step[X] * placement[WIDTH], step[Y] * placement[HEIGHT])
         if turn > 0:
             follow_on(step, before, placement)
         before[:] = step

@@ -101,13 +101,14 @@ class ZTransformTracker:
         learned, self._seen = self._learned, None
         if learned is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
-        if frame.shape != learned.shape:
-            (rows, columns), (old_rows, old_columns) = frame.shape, learned.shape
+        shape = frame.shape
+        if shape != learned.shape:
+            (rows, columns), (old_rows, old_columns) = shape, learned.shape
             return _lost(f"the frame is {columns}x{rows}, learned in {old_columns}x{old_rows}", 0.0)
         lens = lens_of(frame.camera, curved=learned.is_place)
         pyramid = Pyramid(frame.image, frame.first_row)
         look, is_believed = self._look(pyramid, frame.time_s, lens, is_whole=frame.is_whole)
-        if is_believed and self._is_possible(look, frame.shape):
+        if is_believed and self._is_possible(look, shape):
             self._seen = pyramid, lens
             return self._tracked(frame, look, lens)
         self._is_tracking = False

@@ -85,11 +85,9 @@ def test_kernels_are_their_definitions(seed):
     planes, products = [as_patch(changes[:, k], blocks) for k in range(7)], np.einsum("bki,bji->kjb", changes, changes)
     gains, pairs = np.empty(36, np.float32), np.ascontiguousarray(products[np.tril_indices(7)])
     usual = alignment_kernels.weigh_blocks(deviations, compared, energies, strong, gains)
-    for parts in (5, 7):
-        args = deviations, gains, usual, np.stack(planes), pairs, prior, parts, step
-        alignment_kernels.least_squares(*args)
-        expected = reference.robust_step(cut.astype(float), shown == 1, learned_cut, changes[:, :parts], prior[:parts])
-        np.testing.assert_allclose(step, expected[:5], rtol=2e-3, atol=1e-5)
+    alignment_kernels.least_squares(deviations, gains, usual, np.stack(planes), pairs, prior, step)
+    expected = reference.robust_step(cut.astype(float), shown == 1, learned_cut, changes, prior)
+    np.testing.assert_allclose(step, expected[:5], rtol=2e-3, atol=1e-5)
     for found, plain in zip(directions_of(patch), reference.slope_directions(patch.astype(float)), strict=True):
         np.testing.assert_allclose(found, plain, rtol=1e-4, atol=1e-4)
     then = directions_of(learned)[0]
@@ -201,17 +199,20 @@ def plainly_settled(aligner, pyramid, placement):
     """`Aligner.settle`, step by step in plain numpy; of a target that lies in the frame, confidence too."""
     settings, reader, fine = aligner._settings, aligner._reader, aligner._fine
     placement, confidence, before = placement.copy(), None, None
+    if reader.means(pyramid, placement, LENS, reader.cells)[2] == 1:
+        rough, patch = aligner._rough, reference.cell_means(pyramid.image, LENS[3], placement, reader.cells // 2)
+        learned, _, _, *changes = (reference.blocks_of(plane, settings.blocks) for plane in rough.planes)
+        cut, shown = reference.blocks_of(patch, settings.blocks), np.ones(settings.blocks**2, bool)
+        step = reference.robust_step(cut, shown, learned, np.stack(changes, 1), rough.prior)
+        kernels.move(placement, step, settings.largest_step)
     for turn in range(settings.steps + 1):
         patch, seen, share = reader.means(pyramid, placement, LENS, reader.cells)
         if turn == settings.steps:
             break
         cut, shown = (reference.blocks_of(p, settings.blocks) for p in (patch.astype(float), seen))
         learned, _, _, *changes = (reference.blocks_of(plane, settings.blocks) for plane in fine.planes)
-        changes, long_px = np.stack(changes, 1), 0.0
-        for parts in (5, changes.shape[1]):
-            if long_px < settings.repeat_px:
-                step = reference.robust_step(cut, shown.all(1), learned, changes[:, :parts], fine.prior[:parts])[:5]
-                long_px = np.hypot(step[0] * placement[2], step[1] * placement[3])
+        step = reference.robust_step(cut, shown.all(1), learned, np.stack(changes, 1), fine.prior)[:5]
+        long_px = np.hypot(step[0] * placement[2], step[1] * placement[3])
         then, now = (blocks - blocks.mean(1, keepdims=True) for blocks in (learned[shown.all(1)], cut[shown.all(1)]))
         unlike = 1 - (then * now).sum() / np.sqrt((then**2).sum() * (now**2).sum())
         if turn > 0:
