@@ -69,7 +69,7 @@ def _most_likely(
 ) -> Lens | None:
     """`problem`: with keypoints as the camera's own calibration has them; `start`: zoom's logarithm and radial."""
     prior = np.diag(1.0 / sigmas**2)
-    place = start.copy()
+    place, near = start.copy(), False
     for _ in range(ROUNDS):
         problem, costs = _costs_about(problem, camera, scales, place)
         if not np.isfinite(costs).all():
@@ -83,7 +83,8 @@ def _most_likely(
             continue
         information = curve / (2.0 * UNCERTAINTY**2) + prior  # a chi-square is twice a log likelihood
         step = -np.linalg.solve(information, gradient / (2.0 * UNCERTAINTY**2) + prior @ place)
-        if (np.abs(step) <= STEPS).all():
+        close, near = near, bool((np.abs(step) <= STEPS).all())
+        if near and (close or (np.abs(step) <= STEPS / 3.0).all()):  # the quadric about a near place is the better one
             place = place + step
             changed = place - start
             if (np.abs(place) > WIDEST_SIGMAS * sigmas).any() or changed @ information @ changed < SURE_SIGMAS**2:
