@@ -45,6 +45,9 @@ class RecollectionSettings:
     """... and then, to be the target..."""
     near: float = 0.3
     """... so many sides from there at most."""
+    own: float = 1.0
+    """Sides about where the target is followed, in which the follower knows better: of 38 clear finds
+    there that differed from its own, 24 were wrong and it was right, 14 the other way round."""
 
 
 class Recollection:
@@ -85,12 +88,12 @@ class Recollection:
         return None
 
     def _confirmed(self, pyramid: Pyramid, start: np.ndarray, placement: np.ndarray | None) -> Sighting | None:
-        """A find of the frame before, if it is there again and not where the target is followed anyway."""
+        """A find of the frame before, if it is there again and not about where the target is followed anyway."""
         settings, sighting = self._settings, self._loose.recall(pyramid, start)
         if sighting.sharpness < settings.again or _sides_off(sighting.placement, start) > settings.near:
             return None
         self._windows = []
-        if placement is not None and _sides_off(sighting.placement, placement) <= settings.near:
+        if placement is not None and _sides_off(sighting.placement, placement) <= settings.own:
             return None
         self._loose.restore()
         self.start()
