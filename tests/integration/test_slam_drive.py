@@ -31,7 +31,7 @@ def test_driving_the_course_it_maps_where_it_truly_was(programs: Programs, port:
     assert told["behaviour"] == "route" and told["laps"] == 0 and told["collisions"] == 0
     assert 0.9 <= told["path_m"] <= 1.3
     assert told["keyframes"] >= 3 and told["maps"] == 1 and told["loops_closed"] == 0
-    assert told["trajectory_share"] >= 0.25
+    assert told["trajectory_share"] >= 0.6  # in lockstep SLAM waits for its mapper; 0.8 of 13 s when this was written
     assert 0 < told["ate_rmse_m"] <= 0.05
     assert told["compass_share"] >= 0.95 and told["compass_error_deg_rms"] <= 2.0
     assert told["shadow_frames_tracked"] > 20
