@@ -41,6 +41,8 @@ class RecollectionSettings:
     """If the logarithm of its size against the learned one is beyond this, it is looked for in both sizes."""
     sharpness: float = 8.0
     """That something elsewhere must have to be looked at again..."""
+    clearer: float = 3.0
+    """... and by how much more than the familiarity of what is followed..."""
     again: float = 7.0
     """... and then, to be the target..."""
     near: float = 0.3
@@ -83,7 +85,8 @@ class Recollection:
         if not self._windows:
             self._windows = windows(placement, self._loose.learned, pyramid.image.shape, settings)
         sighting = self._loose.recall(pyramid, self._windows.pop())
-        if sighting.sharpness >= settings.sharpness:
+        least = self._familiarity + settings.clearer if is_seen else 0.0
+        if sighting.sharpness >= max(settings.sharpness, least):
             self._found = sighting.placement
         return None
 
