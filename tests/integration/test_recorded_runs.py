@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -107,16 +107,32 @@ def test_a_replay_gives_the_same_results_bit_for_bit(programs: Programs, port: i
     assert cli.main(["replay", str(folder / "run.mcap"), "--same", "--tracker", "phase"]) == 1
 
 
+class Onlooker:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[Step] = []
+        self.stayed_after: list[int] = []
+
+    def step(self, step: Step) -> None:
+        self.told.append(step)
+
+    def stay(self) -> None:
+        self.stayed_after.append(len(self.told))
+
+
 def watch_the_replay(path: Path, steps: list[Step]) -> None:
-    """Whoever watches a replay is told of the same steps, and how the robot stood."""
-    told: list[Step] = []
+    """Whoever watches a replay is told of the same steps, and how the robot stood; at the end it may stay."""
+    onlooker = Onlooker()
     robots = []
 
-    def watch(stack: contextlib.ExitStack, robot: ReplayedRobot) -> list[Callable[[Step], None]]:
+    def watch(stack: contextlib.ExitStack, robot: ReplayedRobot) -> Onlooker:
         stack.callback(lambda: robots.append((robot.state, robot.hello, robot.telemetry, robot.tracker)))
-        return [told.append]
+        return onlooker
 
     replay_run(Replay(source=path), Console(), watch)
+    told = onlooker.told
+    assert onlooker.stayed_after == [len(steps)]
     names = ("tracker", "shadow_tracker", "behaviour", "command", "learned", "orders", "pan_rad")
     for name in names:
         assert [getattr(step, name) for step in told] == [getattr(step, name) for step in steps], name
