@@ -20,6 +20,9 @@ from base_station.trackers.ztransform.texture import texture_of
 from base_station.trackers.ztransform.verification import Known, VerificationSettings, Verifier, box_of
 from base_station.types import Box, Frame
 
+SAME_SPOT = 0.25
+"""Of the surer sighting's sides: centres that are nearer are one spot's."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LookupSettings:
@@ -54,6 +57,8 @@ class _Plan:
     """The landmarks that are looked for, made ready for one camera."""
 
     camera: PinholeCamera
+    lenses: tuple[np.ndarray, np.ndarray]
+    """Of targets, of places."""
     only: str | None
     landmarks: list[Landmark]
     shortlist: Shortlist
@@ -126,11 +131,15 @@ class LandmarkMemory:
         if only is None and not self._landmarks:
             return []
         pyramid, plan = Pyramid(frame.image), self._planned(frame.camera, only)
-        seen = [self._sighting(pyramid, plan, *candidate) for candidate in plan.shortlist.candidates(pyramid)]
+        seen = [self._verified(pyramid, plan, *candidate) for candidate in plan.shortlist.candidates(pyramid)]
         kept: list[Sighting] = []
-        for sighting in sorted((s for s in seen if s is not None), key=lambda s: -s.confidence):
-            if not any(_same_spot(sighting, other) for other in kept):
-                kept.append(sighting)
+        spots: list[tuple[float, float, float, float]] = []
+        for number, placement, confidence in sorted((s for s in seen if s is not None), key=lambda s: -s[2]):
+            box = outline(placement, plan.lenses[plan.landmarks[number].box is None])
+            (x, y), reach_x, reach_y = box.center_px, SAME_SPOT * box.width, SAME_SPOT * box.height
+            if not any(abs(x - other_x) < rx and abs(y - other_y) < ry for other_x, other_y, rx, ry in spots):
+                spots.append((x, y, reach_x, reach_y))
+                kept.append(_sighting(plan, number, placement, confidence, box))
         return kept
 
     def _check(self, box: Box | None, frame: Frame) -> None:
@@ -149,30 +158,30 @@ class LandmarkMemory:
         """Made again only when a landmark changed, or the camera, or what is looked for."""
         if self._plan is None or self._plan.camera != camera or self._plan.only != only:
             landmarks = self.landmarks if only is None else [self._landmarks[only]]
-            self._plan = _Plan(camera, only, landmarks, Shortlist(landmarks, camera, self._settings.shortlist), {})
+            lenses = lens_of(camera, curved=False), lens_of(camera, curved=True)
+            shortlist = Shortlist(landmarks, camera, self._settings.shortlist)
+            self._plan = _Plan(camera, lenses, only, landmarks, shortlist, {})
         return self._plan
 
-    def _sighting(self, pyramid: Pyramid, plan: _Plan, number: int, start: np.ndarray) -> Sighting | None:
-        landmark, camera = plan.landmarks[number], plan.camera
+    def _verified(
+        self, pyramid: Pyramid, plan: _Plan, number: int, start: np.ndarray
+    ) -> tuple[int, np.ndarray, float] | None:
+        landmark = plan.landmarks[number]
         if number not in plan.known:
             plan.known[number] = self._verifier.known(landmark)
-        verified = self._verifier.verify(pyramid, plan.known[number], camera, start)
-        if verified is None:
-            return None
-        placement, confidence = verified
-        lens = lens_of(camera, curved=landmark.box is None)
-        x, y = to_pixel(placement[0], placement[1], lens)
-        return Sighting(
-            landmark=landmark,
-            confidence=confidence,
-            placement=placement,
-            bearing_rad=camera.bearing_rad(x),
-            elevation_rad=camera.elevation_rad(y),
-            zoom=float(placement[HEIGHT] / plan.shortlist.placements[number][HEIGHT]),
-            box=outline(placement, lens),
-        )
+        verified = self._verifier.verify(pyramid, plan.known[number], plan.lenses[landmark.box is None], start)
+        return None if verified is None else (number, *verified)
 
 
-def _same_spot(one: Sighting, other: Sighting) -> bool:
-    (x, y), (ox, oy) = one.box.center_px, other.box.center_px
-    return abs(x - ox) < 0.25 * other.box.width and abs(y - oy) < 0.25 * other.box.height
+def _sighting(plan: _Plan, number: int, placement: np.ndarray, confidence: float, box: Box) -> Sighting:
+    landmark, camera = plan.landmarks[number], plan.camera
+    x, y = to_pixel(placement[0], placement[1], plan.lenses[landmark.box is None])
+    return Sighting(
+        landmark=landmark,
+        confidence=confidence,
+        placement=placement,
+        bearing_rad=camera.bearing_rad(x),
+        elevation_rad=camera.elevation_rad(y),
+        zoom=float(placement[HEIGHT] / plan.shortlist.placements[number][HEIGHT]),
+        box=box,
+    )

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from base_station.geometry import PinholeCamera
 from base_station.trackers.ztransform.kernels import inner
 from base_station.trackers.ztransform.landmark import BOX_CELLS, CELLS, Landmark
-from base_station.trackers.ztransform.outline import lens_of
 from base_station.trackers.ztransform.poles import PoleSettings
 from base_station.trackers.ztransform.pyramid import Pyramid
 from base_station.trackers.ztransform.refinement import refine
@@ -88,10 +86,10 @@ class Verifier:
         )
 
     def verify(
-        self, pyramid: Pyramid, known: Known, camera: PinholeCamera, start: np.ndarray
+        self, pyramid: Pyramid, known: Known, lens: np.ndarray, start: np.ndarray
     ) -> tuple[np.ndarray, float] | None:
         """The placement, refined from `start`, and the confidence 0..1. None unless both signatures agree there."""
-        settings, lens, placement = self._settings, lens_of(camera, curved=known.is_place), start.copy()
+        settings, placement = self._settings, start.copy()
         confidence, share = refine(
             *self._small.source(pyramid, placement, lens, whole=True), lens, placement, known.small_patch,
             known.small_signature, known.maps, self._turns, _FREE_PLACE if known.is_place else _FREE,
