@@ -93,8 +93,14 @@ export function rate_hz() {
   return recent.length > 1 ? ((recent.length - 1) * 1e3) / (recent.at(-1) - recent[0]) : 0;
 }
 
+let told = "";
+
+// Writes to the page only what has changed: each write has the browser compose the page once more than for its picture.
 function tell(status) {
   shown.status = status;
+  const text = JSON.stringify(status);
+  if (text === told) return;
+  told = text;
   emergency.show(status);
   drive.setBehaviour(status.behaviour ?? "");
   document.body.classList.toggle("replay", status.orders === false);
@@ -102,6 +108,7 @@ function tell(status) {
 }
 
 function gone() {
+  told = "";
   shown.head = null;
   redraw();
   drive.setBehaviour("");
