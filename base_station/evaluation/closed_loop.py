@@ -288,7 +288,7 @@ Which = Callable[[TrueRow], Shown | None]
 
 def _tracking_share(rows: list[TrueRow], which: Which) -> float | None:
     results = [which(row) for row in rows if row.truth.in_view]
-    tracked = [result.state is TrackingState.TRACKING for result in results if result is not None]
+    tracked = [result.tracking for result in results if result is not None]
     return _rounded(float(np.mean(tracked))) if tracked else None
 
 
