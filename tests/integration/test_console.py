@@ -94,6 +94,11 @@ class Stage:
     def behave(self, name: str, page: Any = None) -> None:
         """Choose this behaviour, and wait until the station goes by it."""
         page = page or self.page
+        # the select follows the station five times a second; an option that it still shows as chosen is no choice
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('.q-field')].some(field => field.innerText.includes('Behaviour') && "
+            "field.innerText.includes(zservo.picture.status.behaviour))"
+        )
         self.choose(page, "Behaviour", name)
         page.wait_for_function("name => zservo.picture.status.behaviour === name", arg=name)
 
