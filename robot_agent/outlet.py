@@ -19,6 +19,8 @@ from robot_agent.ports import advice
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.1
+TOLD_AT_ONCE = ("stop", "release")
+"""Requests whose effect is published before they are answered: who stops a robot waits for no heartbeat to see it."""
 ZAP_DOMAIN = b"zservo"
 
 
@@ -87,7 +89,11 @@ class Outlet:
         try:
             if len(parts) != 1:
                 raise ProtocolError(f"a request is one message part, {len(parts)} came")
-            return self._answer(decode_request(parts[0]))
+            request = decode_request(parts[0])
+            reply = self._answer(request)
+            if request.action in TOLD_AT_ONCE:
+                self.publish()
+            return reply
         except ProtocolError as error:
             log.warning("control port: %s", error)
             return Reply(ok=False, error=str(error))

@@ -120,7 +120,7 @@ class Stage:
 
     def drag(self, x: float, y: float, width: float, height: float) -> None:
         """Over these pixels of the frame."""
-        box = self.page.locator(".overlay").bounding_box()
+        box = self.page.locator(".view canvas").bounding_box()
         scale = box["width"] / self.head()["width"]
         self.page.mouse.move(box["x"] + x * scale, box["y"] + y * scale)
         self.page.mouse.down()
@@ -167,8 +167,8 @@ def test_the_page_shows_pictures_and_numbers(stage: Stage) -> None:
     page.get_by_text("sim, poster, 320x240").wait_for()
     page.get_by_text("wheels ok").wait_for()
     drawn = page.evaluate(
-        "() => { const c = document.querySelector('canvas.picture');"
-        " return Array.from(c.getContext('2d').getImageData(0, 0, c.width, c.height).data) }"
+        "() => { const c = document.querySelector('.view canvas');"
+        " return Array.from(c.getContext('2d').getImageData(0, c.height / 2, c.width, 60).data) }"
     )
     assert len(set(drawn[::4])) > 50, "the picture has hardly any gray levels"
 

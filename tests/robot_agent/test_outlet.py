@@ -110,6 +110,14 @@ def test_publishing_says_the_state_at_once(ports):
     assert sequences == list(range(sequences[0], sequences[0] + 6))
 
 
+@pytest.mark.parametrize("action", ["stop", "release"])
+def test_what_a_stop_or_a_release_did_is_published_before_it_is_answered(ports, action):
+    before = ports.published
+    for asked in range(1, 6):
+        ports.ask(encode(Request(action=action)))
+        assert ports.published - before >= asked
+
+
 def test_a_peer_that_is_not_allowed_gets_neither_answer_nor_telemetry():
     with zmq.Context() as context:
         closed = Ports(context, allow=AllowList(("192.0.2.0/24",)))

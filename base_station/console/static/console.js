@@ -26,7 +26,7 @@ function whenThere(id, then) {
 
 emergency.begin();
 drive.begin();
-whenThere("view", (host) => choose.begin(picture.canvases(host)));
+whenThere("view", (host) => choose.begin(picture.begin(host)));
 whenThere("scheme", (button) => {
   scheme(false);
   button.addEventListener("click", () => scheme(true));

@@ -1,16 +1,13 @@
-// What is drawn over the picture: the target's box and its rows, bearing, zoom, what the tracker follows, a dragged box.
+// The picture, and what is drawn over it: the target's box and its rows, bearing, zoom, what the tracker follows, a dragged box.
 
 const COLOURS = { TRACKING: "#3ddc84", LOST: "#ff6b5e", INITIALIZING: "#ffc247", shadow: "#58b7ff", drag: "#ffffff" };
 
-export function draw(context, shown, ratio) {
-  const { width, height } = context.canvas;
-  context.clearRect(0, 0, width, height);
+export function draw(context, shown, image, ratio) {
   const head = shown.head;
   if (!head) return say(context, ratio, "no picture", shown.status.link ?? "");
-  const scale = width / head.width;
-  context.setTransform(1, 0, 0, 1, 0, 0);
+  const scale = context.canvas.width / head.width;
   context.lineJoin = "round";
-  band(context, head, scale);
+  picture(context, image, head, scale);
   features(context, head, scale, ratio);
   if (head.shadow) outline(context, head.shadow, head, scale, ratio, COLOURS.shadow, 0);
   outline(context, head.seen, head, scale, ratio, COLOURS[head.seen.state], head.bands);
@@ -40,13 +37,13 @@ function say(context, ratio, title, text) {
   context.textAlign = "left";
 }
 
-// The rows that the robot sends, where it does not send all.
-function band(context, head, scale) {
-  if (head.rows >= head.height) return;
-  context.fillStyle = "rgba(255, 255, 255, 0.06)";
-  context.fillRect(0, 0, head.width * scale, head.first_row * scale);
-  const below = (head.first_row + head.rows) * scale;
-  context.fillRect(0, below, head.width * scale, head.height * scale - below);
+// All of it, or the rows that the robot sends.
+function picture(context, image, head, scale) {
+  if (head.rows < head.height) {
+    context.fillStyle = "#0f0f0f";
+    context.fillRect(0, 0, context.canvas.width, context.canvas.height);
+  }
+  context.drawImage(image, 0, head.first_row * scale, head.width * scale, head.rows * scale);
 }
 
 function features(context, head, scale, ratio) {

@@ -12,24 +12,22 @@ export const shown = { head: null, status: {}, times_ms: [], delays_ms: [], drag
 // The last picture's head, the last status, and of the last pictures when they were drawn, and how long after their
 // last byte had reached the station (by the clocks of two machines, unless they are one).
 
-let picture, overlay;
+let canvas, image = null;
 
-export function canvases(host) {
-  picture = document.createElement("canvas");
-  overlay = document.createElement("canvas");
-  picture.className = "picture";
-  overlay.className = "overlay";
-  host.prepend(picture, overlay);
+// One canvas for the picture and what is drawn over it: a browser without a GPU composes each layer anew.
+export function begin(host) {
+  canvas = document.createElement("canvas");
+  host.prepend(canvas);
   new ResizeObserver(redraw).observe(host);
   run();
-  return overlay;
+  return canvas;
 }
 
 export function redraw() {
   const ratio = window.devicePixelRatio || 1;
-  const width = Math.round(overlay.clientWidth * ratio), height = Math.round(overlay.clientHeight * ratio);
-  if (overlay.width !== width || overlay.height !== height) Object.assign(overlay, { width, height });
-  draw(overlay.getContext("2d"), shown, ratio);
+  const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  draw(canvas.getContext("2d", { alpha: false }), shown, image, ratio);
 }
 
 async function run() {
@@ -61,18 +59,12 @@ async function take(packet) {
   }
   const end = 4 + length + 4 * head.features;
   head.points = new Uint16Array(packet.slice(4 + length, end));
-  const image = await createImageBitmap(new Blob([new Uint8Array(packet, end)], { type: "image/jpeg" }));
-  if (picture.width !== head.width || picture.height !== head.height) {
-    Object.assign(picture, { width: head.width, height: head.height });
-    picture.parentElement.style.setProperty("--aspect", head.width / head.height);
+  const next = await createImageBitmap(new Blob([new Uint8Array(packet, end)], { type: "image/jpeg" }));
+  if (shown.head?.width !== head.width || shown.head?.height !== head.height) {
+    canvas.parentElement.style.setProperty("--aspect", head.width / head.height);
   }
-  const context = picture.getContext("2d", { alpha: false });
-  if (head.rows < head.height) {
-    context.fillStyle = "#000";
-    context.fillRect(0, 0, head.width, head.height);
-  }
-  context.drawImage(image, 0, head.first_row);
-  image.close();
+  image?.close();
+  image = next;
   shown.head = head;
   redraw();
   note(head.arrived_s);
