@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from base_station.evaluation import drive_errors, pose_errors
-from base_station.evaluation.true_rows import Shown, TrueRow, TrueRows
+from base_station.evaluation.true_rows import Reading, TrueRow, TrueRows
 from base_station.station import Step
 from base_station.trackers.base import Survey
 from base_station.types import TrackerResult, TrackingState
@@ -274,15 +274,15 @@ def _is_tracking(result: TrackerResult | None) -> bool:
     return result is not None and result.state is TrackingState.TRACKING
 
 
-def _steering(row: TrueRow) -> Shown | None:
+def _steering(row: TrueRow) -> Reading | None:
     return row.shown
 
 
-def _shadow(row: TrueRow) -> Shown | None:
+def _shadow(row: TrueRow) -> Reading | None:
     return row.shadow
 
 
-Which = Callable[[TrueRow], Shown | None]
+Which = Callable[[TrueRow], Reading | None]
 """Whose result of a row is meant."""
 
 

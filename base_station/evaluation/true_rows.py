@@ -24,7 +24,7 @@ _NONE = math.nan
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Reading:
     """What the summary asks of a tracker's result; angles and range as in `TrackerResult`."""
 
     state: TrackingState
@@ -48,8 +48,8 @@ class TrueRow:
     index: int
     """In the order in which frames were noted, from 0."""
     time_s: float
-    shown: Shown
-    shadow: Shown | None
+    shown: Reading
+    shadow: Reading | None
     pan_rad: float | None
     """None when the camera is fixed."""
     truth: Truth
@@ -145,13 +145,13 @@ def _row(time_s: float, numbers: Iterator[float], reasons: tuple[str, ...]) -> T
         value = next(numbers)
         return None if math.isnan(value) else value
 
-    def shown() -> Shown | None:
+    def shown() -> Reading | None:
         state, reason = optional(), optional()
         bearing_rad, view_angle_rad, range_m, compass_rad, posed = (optional() for _ in range(5))
         if state is None or reason is None:
             return None
         told = _STATES[int(state)], reasons[int(reason)]
-        return Shown(*told, bearing_rad, view_angle_rad, range_m, compass_rad, bool(posed))
+        return Reading(*told, bearing_rad, view_angle_rad, range_m, compass_rad, bool(posed))
 
     index, pan_rad = int(next(numbers)), optional()
     result, shadow = shown(), shown()

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from base_station.errors import StationError
 from base_station.orders import Order
 from base_station.recording.reader import Recording
-from base_station.recording.sources import RecordedRun, Shown, Source
+from base_station.recording.sources import RecordedRun, Source, SourceFrame
 from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.registry import make_tracker
@@ -67,7 +67,7 @@ class Replayed:
 
     place: int
     step: Step
-    shown: Shown
+    shown: SourceFrame
     tracker: Tracker
 
 

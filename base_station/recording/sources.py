@@ -31,7 +31,7 @@ RECORDING_SUFFIX = ".mcap"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class SourceFrame:
     """One frame of a source. `frame`: None when its picture is missing. `recorded`: what the station made of it, which
     can be compared only if the same was learned."""
 
@@ -65,7 +65,7 @@ class Source(Protocol):
 
     name: str
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         """Raises StationError when the source is damaged."""
         ...
 
@@ -104,7 +104,7 @@ class RecordedRun:
         self._learned: list[int] = []
         self._missing = 0
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         self._keys, self._pans, self._learned, self._missing = [], [], [], 0
         first = (Order.learn(self._target),) if self._target is not None else ()
         for step in self.recording:
@@ -117,7 +117,7 @@ class RecordedRun:
             self._keys.append(step.key)
             self._pans.append(step.pan_rad or 0.0)
             self._missing += step.frame is None
-            yield Shown(frame=step.frame, orders=orders, recorded=step, comparable=self._target is None)
+            yield SourceFrame(frame=step.frame, orders=orders, recorded=step, comparable=self._target is None)
 
     def known(self) -> Known:
         """Bearing and zoom of the simulation's truth, from the camera's axis, since the target was learned."""
@@ -172,7 +172,7 @@ class Pictures:
         self._scale = 1.0
         self._camera: PinholeCamera | None = None
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         self._unread = []
         order: tuple[Order, ...] = (Order.learn(self._target),)
         size: tuple[int, int] | None = None
@@ -180,7 +180,7 @@ class Pictures:
             whole = read_gray(path)
             if whole is None or (size is not None and whole.shape != size):
                 self._unread.append(path.name)
-                yield Shown(frame=None, orders=order)
+                yield SourceFrame(frame=None, orders=order)
                 order = ()
                 continue
             size = whole.shape[0], whole.shape[1]
@@ -189,7 +189,7 @@ class Pictures:
             if self._target is None and self._boxes is not None and order:
                 order = (Order.learn(_box(self._boxes[0] * self._scale)),)
             frame = Frame(image=image, number=number, time_s=time_s, camera=self._camera, connection=self.name)
-            yield Shown(frame=frame, orders=order)
+            yield SourceFrame(frame=frame, orders=order)
             order = ()
         if len(self._unread) == len(self._paths):
             raise StationError(f"{self.name}: none of the {len(self._paths)} pictures can be read.")
@@ -290,7 +290,7 @@ class Video:
             raise StationError(f"{self._path} is no video that can be read.", usage=True)
         return capture
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         capture = self._open()
         try:
             fps = capture.get(cv2.CAP_PROP_FPS)
@@ -302,7 +302,7 @@ class Video:
                 number += 1
                 camera = PinholeCamera.with_fov(image.shape[1], image.shape[0])
                 frame = Frame(image=image, number=number, time_s=last_s, camera=camera, connection=self.name)
-                yield Shown(frame=frame, orders=(Order.learn(self._target),) if number == 1 else ())
+                yield SourceFrame(frame=frame, orders=(Order.learn(self._target),) if number == 1 else ())
             if not number:
                 raise StationError(f"{self._path} shows no pictures.")
         finally:

@@ -22,7 +22,7 @@ from base_station.errors import StationError
 from base_station.evaluation.benchmark_report import machine
 from base_station.evaluation.slam.map_files import write_colmap, write_ply
 from base_station.evaluation.slam.plots import plot_map, plot_trajectory
-from base_station.evaluation.slam.run import Outcome, Shown, Slam, SlamRun, figures, show
+from base_station.evaluation.slam.run import Outcome, PictureOutcome, Slam, SlamRun, figures, show
 from base_station.evaluation.slam.sequence import SlamSequence, read_sequence
 from base_station.evaluation.slam.trajectory import write_euroc, write_tum
 from base_station.evaluation.thesis.plotting import require
@@ -159,7 +159,7 @@ def _rounded(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _tell_trouble(shown: Sequence[Shown]) -> None:
+def _tell_trouble(shown: Sequence[PictureOutcome]) -> None:
     """Pictures that were missing, and why nothing was tracked, if nothing was."""
     unreadable = [one.reason for one in shown if one.outcome is Outcome.UNREADABLE]
     if unreadable:

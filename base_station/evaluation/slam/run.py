@@ -61,7 +61,7 @@ OUTCOMES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class PictureOutcome:
     """One picture: what became of it, why it is not tracked, and how long it took (NaN when it was not shown)."""
 
     time_s: float
@@ -76,7 +76,7 @@ class SlamRun:
     """`online`: the poses as they were told at once. `trajectory`, `keyframes`, `points`: at the end, in the largest
     map's world."""
 
-    shown: Sequence[Shown]
+    shown: Sequence[PictureOutcome]
     online: Trajectory
     trajectory: Trajectory
     keyframes: Trajectory
@@ -99,18 +99,20 @@ def show(
 ) -> SlamRun:
     """Show every picture. The system is not closed."""
     due = sequence.times_s - sequence.times_s[0]
-    shown: list[Shown] = []
+    shown: list[PictureOutcome] = []
     online: list[tuple[float, np.ndarray]] = []
     began = clock()
     for number, path in enumerate(sequence.pictures):
         time_s = float(sequence.times_s[number])
         on_frame()
         if realtime and number + 1 < len(due) and clock() - began >= due[number + 1]:
-            shown.append(Shown(time_s=time_s, outcome=Outcome.DROPPED))
+            shown.append(PictureOutcome(time_s=time_s, outcome=Outcome.DROPPED))
             continue
         image = read_gray(path)
         if image is None:
-            shown.append(Shown(time_s=time_s, outcome=Outcome.UNREADABLE, reason=f"{path.name} cannot be read"))
+            shown.append(
+                PictureOutcome(time_s=time_s, outcome=Outcome.UNREADABLE, reason=f"{path.name} cannot be read")
+            )
             continue
         early_s = due[number] - (clock() - began)
         if realtime and early_s > 0:
@@ -119,7 +121,7 @@ def show(
         frame = slam.track(image, time_s)
         ms = (clock() - before) * 1e3
         shown.append(
-            Shown(
+            PictureOutcome(
                 time_s=time_s, outcome=OUTCOMES[frame.state], reason=frame.reason, ms=ms, keyframe=frame.keyframe
             )
         )  # fmt: skip

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from base_station.evaluation.true_rows import MAX_UNMATCHED, Shown, TrueRows
+from base_station.evaluation.true_rows import MAX_UNMATCHED, Reading, TrueRows
 from base_station.types import Box, TrackerResult, TrackingState
 from protocol import Truth
 
@@ -16,7 +16,7 @@ SEEN = TrackerResult(
     cam_from_world=np.eye(4), confidence=0.9, zoom=1.1,
 )  # fmt: skip
 GONE = TrackerResult(state=TrackingState.LOST, reason="left the view", compass_rad=3.0)
-SHOWN = Shown(TrackingState.TRACKING, "", 0.125, -0.25, 0.75, None, True)
+SHOWN = Reading(TrackingState.TRACKING, "", 0.125, -0.25, 0.75, None, True)
 FULL = Truth(
     robot=(1.0, -2.0, 0.5), target=(3.0, 4.0, -0.5), bearing_rad=0.375, range_m=0.875, in_view=True, collisions=2
 )
@@ -32,7 +32,7 @@ def test_rows_come_back_as_noted() -> None:
     assert (first.index, first.time_s, first.shown, first.shadow, first.pan_rad, first.truth) == (
         0, 10.0, SHOWN, None, None, FULL,
     )  # fmt: skip
-    assert second.shown == Shown(TrackingState.LOST, "left the view", None, None, None, 3.0, False)
+    assert second.shown == Reading(TrackingState.LOST, "left the view", None, None, None, 3.0, False)
     assert (second.index, second.time_s, second.shadow, second.pan_rad, second.truth) == (1, 11.0, SHOWN, -0.375, BARE)
     assert first.shown.tracking and not second.shown.tracking
     assert [row.index for row in rows.rows(since=1)] == [1]

@@ -18,7 +18,7 @@ from base_station.recording.planning import kits_of
 from base_station.recording.poses import ROBOT_FROM_CAMERA, inverse, world_from_camera
 from base_station.recording.replay import Replayed, ReplayPlan, replay
 from base_station.recording.series import Series, figures
-from base_station.recording.sources import Known, Shown, TargetTruth, open_source
+from base_station.recording.sources import Known, SourceFrame, TargetTruth, open_source
 from base_station.trackers.registry import make_tracker
 from base_station.types import Box, TrackerResult, TrackingState
 from base_station.watcher import Kit
@@ -132,12 +132,12 @@ class Operated:
     def __init__(self, orders: dict[int, tuple[Order, ...]]) -> None:
         self._orders = orders
 
-    def __iter__(self) -> Iterator[Shown]:
+    def __iter__(self) -> Iterator[SourceFrame]:
         from tests.base_station.recording.test_recording_files import a_step
 
         for number in range(1, 21):
             frame = a_step(number).frame
-            yield Shown(frame=None if number == 5 else frame, orders=self._orders.get(number, ()))
+            yield SourceFrame(frame=None if number == 5 else frame, orders=self._orders.get(number, ()))
 
     def known(self) -> Known:
         return Known()
