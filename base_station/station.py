@@ -14,35 +14,24 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from base_station.behaviours.base import Behaviour, Drive, Journey, Outcome, Steered
-from base_station.behaviours.registry import BehaviourContext, make_behaviour
-from base_station.behaviours.route import Route
+from base_station.behaviours.base import Outcome
+from base_station.driver import Driver
 from base_station.errors import StationError
-from base_station.geometry import FlatPose
-from base_station.head import Angles, PanHead
 from base_station.link import Link
 from base_station.orders import Order
 from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
-from base_station.types import Box, Frame, TrackerResult, TrackingState
+from base_station.types import Box, Frame, TrackerResult
 from base_station.watcher import Kit, Watcher
 from base_station.workshop import Workshop
-from protocol import STOP, Command, ProtocolError, Request, RobotLimits
+from protocol import STOP, Command, ProtocolError, Request
 
 log = logging.getLogger(__name__)
 
 WAIT_S = 0.1
-SIGHT_OF = {TrackingState.TRACKING: "tracking", TrackingState.LOST: "lost"}
-"""What the lights are told (one of the protocol's SIGHTS)."""
 PATIENCE_S = 10.0
 CLOSING_S = 3.0
 """So long it takes at the most to let go of the trackers; what is not closed then ends with the program."""
-LOCKSTEP_LOOK_S = 0.5
-"""In lockstep, where the robot's time stands until the command comes, the camera's goal may take so long to arrive."""
-NO_PAN_TILT = (
-    "This robot's camera cannot be turned: leave out --pan, or start its agent with --pan-tilt servoblaster "
-    "(--pan-tilt sim for the simulated robot)."
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,34 +103,28 @@ class Station:
         self._workshop: Workshop[Kit | None] = Workshop()
         self._watcher = Watcher(kit, shadow=shadow, target_rows=self.settings.target_rows, retire=self._retire)
         self._keys = keys or queue.SimpleQueue()
+        self._driver = Driver(link, self.settings.behaviour, self._keys, pan=self.settings.pan)
         self._make, self._remember = make, remember
         self._on_step, self._on_wait = on_step, on_wait
         self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
         self._works: list[tuple[Order, Future[Kit | None]]] = []
-        self._behaviour_name = self.settings.behaviour
-        self._behaviour: Behaviour | None = None
-        self._head: PanHead | None = None
-        self._driven: FlatPose | None = None
-        """Where the robot is in the present frame, by its wheels."""
-        self._connection = ""
         self._stopping = False
         self._first_order: Order | None = Order.learn(self.settings.target)
         """To learn what the settings say, or the simulated operator; not given yet."""
         self._complaint = ""
         self._notices: list[str] = []
-        self._outcome: Outcome | None = None
         self._first_s: float | None = None
         self._frames = 0
 
     @property
     def outcome(self) -> Outcome | None:
         """How the behaviour's journey ended; None while it goes on, or when the behaviour is no journey."""
-        return self._outcome
+        return self._driver.outcome
 
     @property
     def laps(self) -> int | None:
         """Driven to their end; None when the behaviour drives none."""
-        return self._behaviour.laps if isinstance(self._behaviour, Route) else None
+        return self._driver.laps
 
     @property
     def tracker(self) -> Tracker:
@@ -192,7 +175,7 @@ class Station:
                     self._wait(time.monotonic() - last_frame_s)
         finally:
             self._link.send(STOP)
-            self._let_go_of_head()
+            self._driver.let_go_of_head()
 
     def close(self) -> None:
         """Close the trackers, also one that is still in the making, if that does not take too long. After `run`."""
@@ -230,17 +213,19 @@ class Station:
     def _step(self, frame: Frame, arrival_s: float) -> Step:
         self._count(frame)
         self._notices = []
-        self._renew_behaviour(frame)
+        self._driver.renew(frame)
         orders = [order for order in self._due(frame) if self._carry_out(order, frame)] + self._made()
         seen = self._watcher.look(frame)
         self._complain()
         angles = self._link.camera_angles(frame)
-        command = self._command(seen.result, frame, angles)
+        command = self._driver.command(seen.result if self._watcher.learned else None, frame, angles)
         if self.settings.rows:  # before the command: in lockstep the next frame may come at once
             self._link.want_rows(self._watcher.wanted_rows(), frame.connection)
         sent_s = self._link.send(command, frame.connection)
-        self._link.show(self._sight(seen.result), frame.connection)
-        self._note_outcome()
+        self._link.show(self._driver.sight(seen.result), frame.connection)
+        self._driver.note_outcome()
+        if self.settings.until_there and self._driver.outcome is not None:
+            self._stopping = True
         return Step(
             frame=frame,
             result=seen.result,
@@ -252,7 +237,7 @@ class Station:
             frame_to_command_s=None if sent_s is None else sent_s - arrival_s,
             tracker=self._watcher.name,
             shadow_tracker=self._watcher.shadow_name,
-            behaviour=self._behaviour_name,
+            behaviour=self._driver.behaviour,
             orders=tuple(orders),
             notices=tuple(self._notices),
         )
@@ -284,10 +269,18 @@ class Station:
             return self._exchange(order)
         elif order.kind == "behaviour":
             return self._change_behaviour(order.name, frame)
-        elif order.kind == "drive" and isinstance(self._behaviour, Steered):
-            self._behaviour.steer(order.forward, order.left, frame.time_s)
+        elif order.kind == "drive":
+            self._driver.steer(order, frame)
         elif order.kind == "remember":
             self._work(order, lambda: self._keep(order.name, frame, order.target))
+        return True
+
+    def _change_behaviour(self, name: str, frame: Frame) -> bool:
+        try:
+            self._driver.change(name, frame)
+        except ValueError as error:
+            self._notice(f"cannot go on with {name}: {error}")
+            return False
         return True
 
     def _exchange(self, order: Order) -> bool:
@@ -346,33 +339,6 @@ class Station:
             self._notice(f"cannot learn this target: {complaint}")
         self._complaint = complaint
 
-    # -- driving ---------------------------------------------------------------------------------------------------
-
-    def _command(self, result: TrackerResult, frame: Frame, angles: Angles | None) -> Command:
-        assert self._behaviour is not None
-        if self._head is not None and angles is not None:
-            self._head.pan_rad = angles[0]
-        self._driven = self._link.driven(frame)
-        command = self._behaviour.command(result if self._watcher.learned else None, frame.time_s)
-        if self._head is not None and self._link.hello is not None and self._link.hello.rhythm == "lockstep":
-            self._head.settle(LOCKSTEP_LOOK_S)
-        return command
-
-    def _sight(self, result: TrackerResult) -> str:
-        """What the robot's lights are to tell; a station that does not drive by what it sees is idle."""
-        if self._behaviour_name not in ("follow", "goto"):
-            return "idle"
-        return SIGHT_OF.get(result.state, "idle")
-
-    def _note_outcome(self) -> None:
-        """Say once how a journey ended, and end the run with it when that was asked for."""
-        outcome = self._behaviour.outcome if isinstance(self._behaviour, Journey) else None
-        if outcome is not None and outcome != self._outcome:
-            log.info("%s", outcome.text)
-        self._outcome = outcome
-        if outcome is not None and self.settings.until_there:
-            self._stopping = True
-
     def _count(self, frame: Frame) -> None:
         self._frames += 1
         if self._first_s is None:
@@ -380,52 +346,6 @@ class Station:
         over = self.settings.duration_s is not None and frame.time_s - self._first_s >= self.settings.duration_s
         if over or self._frames == self.settings.max_frames:
             self._stopping = True
-
-    def _renew_behaviour(self, frame: Frame) -> None:
-        """A new one for each connection: the robot may have other limits now, and the past says nothing."""
-        if self._behaviour is not None and frame.connection == self._connection:
-            return
-        self._connection = frame.connection
-        self._let_go_of_head()
-        if self.settings.pan:
-            self._head = self._take_head()
-        try:
-            self._behaviour = self._new_behaviour(self._behaviour_name, frame)
-        except ValueError as error:
-            raise StationError(f"--behaviour {self._behaviour_name}: {error}.", usage=True) from error
-
-    def _change_behaviour(self, name: str, frame: Frame) -> bool:
-        try:
-            self._behaviour = self._new_behaviour(name, frame)
-        except ValueError as error:
-            self._notice(f"cannot go on with {name}: {error}")
-            return False
-        self._behaviour_name = name
-        return True
-
-    def _new_behaviour(self, name: str, frame: Frame) -> Behaviour:
-        """Raises ValueError when this robot or scene does not allow it."""
-        hello = self._link.hello
-        context = BehaviourContext(
-            drive=Drive(hello.limits if hello is not None else RobotLimits()),
-            keys=self._keys,
-            camera=frame.camera,
-            head=self._head,
-            course=hello.scenario.course if hello is not None and hello.scenario is not None else (),
-            where=lambda: self._driven,
-        )
-        return make_behaviour(name, context)
-
-    def _take_head(self) -> PanHead:
-        hello = self._link.hello
-        if hello is None or hello.pan_tilt is None:
-            raise StationError(NO_PAN_TILT, usage=True)
-        return PanHead(hello.pan_tilt, self._link.control_line())
-
-    def _let_go_of_head(self) -> None:
-        if self._head is not None:
-            self._head.close()
-            self._head = None
 
 
 def _close(tracker: Tracker) -> None:
