@@ -96,9 +96,11 @@ def as_toml(settings: Any, table: str) -> str:
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > MOST_BYTES:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
             raise StationError(f"{path} is too large for settings.", usage=True)
-        return path.read_text(encoding="utf-8")
+        return data.decode("utf-8-sig")  # some editors begin a file with a mark
     except OSError as error:
         raise StationError(f"--config {path} cannot be read ({error.strerror}).", usage=True) from error
     except UnicodeDecodeError as error:
@@ -144,6 +146,8 @@ def _checked(value: Any, hint: Any, folder: Path) -> Any:
         if value not in choices:
             raise ValueError("one of " + ", ".join(map(_shown, choices)))
         return value
+    if isinstance(value, str) and "\0" in value:
+        raise ValueError("text without a zero byte")
     if Path in wanted and isinstance(value, str):
         return _moved(value, folder)
     if str in wanted and isinstance(value, str):

@@ -7,3 +7,8 @@ class StationError(Exception):
     def __init__(self, text: str, *, usage: bool = False) -> None:
         super().__init__(text)
         self.usage = usage
+
+
+def never_learned(target: object) -> StationError:
+    """Of a target that no frame let learn."""
+    return StationError(f"The target {target} was never learned: it must lie in the picture and have texture.")

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import logging
 import math
-import os
 import queue
 import signal
 import traceback
@@ -29,7 +27,7 @@ from base_station.configuration import as_toml
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import check_console, open_console
 from base_station.display import StatusLine, summary_table
-from base_station.errors import StationError
+from base_station.errors import StationError, never_learned
 from base_station.evaluation.closed_loop import LoopLog, Summary
 from base_station.evaluation.picture import RunPicture
 from base_station.geometry import PinholeCamera
@@ -38,6 +36,7 @@ from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link, LinkSettings
 from base_station.orders import LANDMARK
+from base_station.output_files import check_output, write_bytes, write_json
 from base_station.publication.service import Publication
 from base_station.recording.session import recording_of
 from base_station.results import ResultsFile
@@ -155,13 +154,8 @@ def _check(run: Run) -> None:
         raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
     if run.console:
         check_console(_console_settings(run))
-    for name, path in (("--summary", run.summary), ("--picture", run.picture)):
-        if path is not None and not path.parent.is_dir():
-            raise StationError(f"{name}: there is no folder {path.parent}.", usage=True)
-        if path is not None and path.is_dir():
-            raise StationError(f"{name}: {path} is a folder; name a file.", usage=True)
-        if path is not None and not os.access(path if path.exists() else path.parent, os.W_OK):
-            raise StationError(f"{name}: {path} cannot be written.", usage=True)
+    check_output("--summary", run.summary)
+    check_output("--picture", run.picture, (".png",))
     if run.record_raw and run.record is None:
         raise StationError("--record-raw goes with --record FILE.mcap.", usage=True)
 
@@ -380,20 +374,13 @@ def _conclude(
         rhythm=hello.rhythm if hello is not None else None,
     )
     if run.summary is not None:
-        _write(run.summary, (json.dumps(summary.as_dict(), indent=2) + "\n").encode())
+        write_json(run.summary, summary.as_dict())
     if run.picture is not None and picture is not None:
-        _write(run.picture, picture.png(log.truths(), summary))
+        write_bytes(run.picture, picture.png(log.truths(), summary))
     console.print(summary_table(summary))
     if summary.frames == 0:
         raise StationError(f"No frame came from {run.host}:{run.port} ({link.state}). Is the agent running there?")
     if run.target is not None and not log.learned:
-        raise StationError(f"The target {run.target} was never learned: it must lie in the picture and have texture.")
+        raise never_learned(run.target)
     if run.until_there and (outcome is None or not outcome.there):
         raise StationError(f"Not there: {outcome.text if outcome is not None else 'the run ended on the way'}.")
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise StationError(f"{path} cannot be written ({error.strerror}).") from error

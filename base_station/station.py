@@ -312,7 +312,7 @@ class Station:
             self._notice(f"cannot {order.kind} {order.name}: {error}")
             return False
         if kit is None:
-            self._notice(f"{order.name} is remembered", logging.INFO)
+            self._notice(f"{order.name} is remembered as it looks now", logging.INFO)
             return False
         if order.kind == "tracker":
             self._watcher.exchange(kit)

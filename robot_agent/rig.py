@@ -94,7 +94,10 @@ def check_together(options: RigOptions) -> None:
             "--robot none --camera replay."
         )
     if options.robot in OWN_CAMERA and options.camera_file is not None:
-        raise UsageError(f"--camera-file {options.camera_file}: the simulated camera of {options.robot} is known.")
+        raise UsageError(
+            f"--camera-file {options.camera_file}: the simulated camera of {options.robot} is known; leave "
+            "--camera-file out, or name a real --robot and --camera."
+        )
     if options.robot == "playground" and options.pan_tilt != "none":
         raise UsageError("The playground's camera is fixed: use --robot sim --pan-tilt sim.")
     if options.pan_tilt == ("servoblaster" if options.robot == "sim" else "sim"):

@@ -24,6 +24,7 @@ from base_station.calibration.printing import write_board
 from base_station.calibration.solving import Calibration, calibrate
 from base_station.errors import StationError
 from base_station.link import Link, LinkSettings
+from base_station.output_files import check_output
 from base_station.terminal import pressed_keys
 from protocol import FRAME_PORT, STOP
 from protocol.camera_file import write_camera_file
@@ -88,8 +89,7 @@ def calibrate_camera(command: Calibrate, console: Console) -> None:
         written = write_board(board, action.paper, action.file, overwrite=action.overwrite)
         print(f"{action.file}: {written}. Print it at 100 % and measure it.")
         return
-    if not action.output.parent.is_dir() or action.output.is_dir():
-        raise StationError(f"--output {action.output}: name a file in a folder that exists.", usage=True)
+    check_output("--output", action.output)
     if not 1 <= action.port <= 65532:
         raise StationError(f"--port must be 1..65532 (four ports in a row), not {action.port}.", usage=True)
     with threadpool_limits(1):

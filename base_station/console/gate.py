@@ -64,7 +64,7 @@ class Gate:
         if self._token is None and _name(host) not in LOOPBACK_NAMES:
             return Verdict(403, "This console answers by the names 127.0.0.1 and localhost only.")
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _place(origin) != host:
             return Verdict(403, "Another page may not use this console.")
         if self._token is None or self._is_token(self._shown(headers)):
             return Verdict(200)
@@ -97,6 +97,14 @@ class Gate:
 
 def _headers(scope: Scope) -> dict[str, str]:
     return {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
+
+
+def _place(origin: str) -> str:
+    """host:port of an origin; empty when it is none."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _name(host: str) -> str:

@@ -39,6 +39,7 @@ from base_station.evaluation.tracker_benchmark import (
     run_benchmark,
 )
 from base_station.evaluation.worlds import World, generated_world, photographed_worlds
+from base_station.output_files import check_output
 from base_station.trackers.registry import DEFAULT_TRACKER, tracker_names
 
 PROG = "benchmark-trackers"
@@ -134,8 +135,7 @@ def _checked(command: Benchmark) -> BenchmarkSettings:
             raise StationError(f"{option} must be 1..{most}, not {value}.", usage=True)
     if not 0 <= command.seed < 2**32:
         raise StationError(f"--seed must be 0..{2**32 - 1}, not {command.seed}.", usage=True)
-    if command.json is not None and (command.json.is_dir() or not command.json.parent.is_dir()):
-        raise StationError(f"--json: {command.json} is no file in a folder that exists.", usage=True)
+    check_output("--json", command.json)
     if command.plots is not None:
         try:
             command.plots.mkdir(parents=True, exist_ok=True)

@@ -27,8 +27,8 @@ from base_station.evaluation.tracking_command import (
     progress_over,
     score_table,
     score_tracker,
-    write_json,
 )
+from base_station.output_files import write_json
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker
 
 PROG = "benchmark-otb"

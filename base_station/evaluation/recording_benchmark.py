@@ -21,7 +21,7 @@ import tyro
 from base_station.errors import StationError
 from base_station.evaluation.benchmark_report import machine, machine_line
 from base_station.evaluation.tool import run_tool
-from base_station.evaluation.tracking_command import write_json
+from base_station.output_files import write_json
 from base_station.recording.planning import kits_of, planned
 from base_station.recording.recorder import Recorder
 from base_station.recording.replay import one_thread, replay

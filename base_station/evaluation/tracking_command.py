@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -27,6 +26,7 @@ from base_station.evaluation.sequences import (
     mean_score,
     run_sequence,
 )
+from base_station.output_files import check_output, write_json
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker
 
 PLAIN_WIDTH = 120
@@ -73,8 +73,7 @@ def check_options(max_frames: int | None, path: Path | None) -> None:
     """Find mistakes of usage before anything is measured."""
     if max_frames is not None and max_frames < 2:
         raise StationError(f"--max-frames must be at least 2, not {max_frames}.", usage=True)
-    if path is not None and (path.is_dir() or not path.parent.is_dir()):
-        raise StationError(f"--json: {path} is no file in a folder that exists.", usage=True)
+    check_output("--json", path)
 
 
 @contextlib.contextmanager
@@ -111,14 +110,6 @@ def as_json(scores: Sequence[SequenceScore]) -> dict[str, Any]:
     if len(scores) == 1:
         return asdict(scores[0])
     return asdict(mean_score(scores)) | {"sequences": [asdict(score) for score in scores]}
-
-
-def write_json(path: Path, figures: Any) -> None:
-    """Raises StationError when it cannot be written."""
-    try:
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StationError(f"{path} cannot be written ({error.strerror}).") from error
 
 
 def score_table(title: str, scores: Sequence[SequenceScore]) -> Table:

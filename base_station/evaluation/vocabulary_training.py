@@ -25,6 +25,7 @@ from rich.progress import track
 from base_station.errors import StationError
 from base_station.evaluation.tool import run_tool
 from base_station.evaluation.worlds import generated_world
+from base_station.output_files import check_output
 from base_station.trackers.slam.vocabulary import OWN_VOCABULARY, TreeSettings, train
 
 PROG = "train-vocabulary"
@@ -59,8 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: Training, arguments: Sequence[str]) -> None:
     if not 1 <= options.worlds <= 10_000:
         raise StationError(f"--worlds must be 1..10000, not {options.worlds}.", usage=True)
-    if not options.output.parent.is_dir():
-        raise StationError(f"--output: there is no folder {options.output.parent}.", usage=True)
+    check_output("--output", options.output)
     numbers = range(options.worlds)
     pictures = []
     for number in track(numbers, "pictures", console=Console(stderr=True), transient=True):

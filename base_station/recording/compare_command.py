@@ -14,10 +14,11 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 from base_station.display import short_name
-from base_station.errors import StationError
-from base_station.evaluation.tracking_command import check_options, plain_console, write_json
+from base_station.errors import StationError, never_learned
+from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.kits import KitMaker
 from base_station.landmarks_command import parse_box
+from base_station.output_files import write_json
 from base_station.recording.agreement import agreement
 from base_station.recording.planning import kits_of, planned
 from base_station.recording.plot import check_picture, plot_series
@@ -93,6 +94,8 @@ def compare(command: Compare, console: Console) -> None:
         )
     if command.picture is not None:
         plot_series(command.picture, source.name, shown, known.truth)
+    if target is not None and all(series.learned_row is None for series in rows):
+        raise never_learned(command.target)
 
 
 def _check(command: Compare) -> list[str]:

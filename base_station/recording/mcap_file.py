@@ -46,6 +46,8 @@ class McapFile:
         self.damage = ""
         """Why the file could not be read to its end; known after that much was read."""
         self._library = _mcap()
+        if path.is_dir():
+            raise StationError(f"{path} is a folder: name a FILE.mcap.", usage=True)
         try:
             with path.open("rb") as file:
                 magic = file.read(8)

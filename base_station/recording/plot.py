@@ -12,6 +12,7 @@ import numpy as np
 from base_station.display import short_name
 from base_station.errors import StationError
 from base_station.evaluation.thesis.plotting import LIGHT, Palette, draw_to, require
+from base_station.output_files import check_output
 from base_station.recording.series import Series
 from base_station.recording.sources import TargetTruth
 from base_station.types import TrackingState
@@ -26,8 +27,7 @@ def check_picture(path: Path | None) -> None:
     if path is None:
         return
     require()
-    if not path.parent.is_dir() or path.is_dir():
-        raise StationError(f"--picture: {path} is no file in a folder that exists.", usage=True)
+    check_output("--picture", path, (".png",))
 
 
 def plot_series(path: Path, title: str, rows: Sequence[Series], truth: Mapping[int, TargetTruth]) -> None:

@@ -14,9 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from base_station.display import short_name
-from base_station.errors import StationError
-from base_station.evaluation.tracking_command import check_options, plain_console, write_json
+from base_station.errors import StationError, never_learned
+from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.landmarks_command import parse_box
+from base_station.output_files import write_json
 from base_station.recording.agreement import Agreement, agreement
 from base_station.recording.planning import kits_of, planned
 from base_station.recording.plot import check_picture, plot_series
@@ -129,6 +130,8 @@ def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, r
         same = _told(command, console, source, plan, rows)
         if audience is not None:
             audience.stay()
+    if target is not None and rows[0].now.learned_row is None:
+        raise never_learned(command.target)
     if command.same and not same:
         raise StationError(f"The results are not those that were recorded{_why(source)}.")
 

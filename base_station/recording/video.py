@@ -10,6 +10,7 @@ import numpy as np
 from base_station.display import describe
 from base_station.errors import StationError
 from base_station.evaluation.drawing import GREEN, RED, WHITE, as_ascii, draw_text
+from base_station.output_files import check_output
 from base_station.station import Step
 from base_station.types import TrackingState
 
@@ -26,18 +27,26 @@ class SeenVideo:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._writer: cv2.VideoWriter | None = None
-        self._size = (0, 0)
-        if path.suffix.lower() not in FOURCC:
-            raise StationError(f"--video: name a file that ends in {' or '.join(FOURCC)}, not {path.name}.", usage=True)
-        if not path.parent.is_dir():
-            raise StationError(f"--video: there is no folder {path.parent}.", usage=True)
+        self._size, self._frames = (0, 0), 0
+        check_output("--video", path, tuple(FOURCC))
 
     def __enter__(self) -> SeenVideo:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.release()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._writer is None:
+            return
+        self._writer.release()
+        if kind is None:
+            self._check_written()
+
+    def _check_written(self) -> None:
+        """OpenCV's writer does not tell when the disk is full."""
+        written = cv2.VideoCapture(str(self._path))
+        frames = round(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
+        written.release()
+        if frames < self._frames:
+            raise StationError(f"{self._path} is cut short, {frames} of {self._frames} frames: is the disk full?")
 
     def note_step(self, step: Step) -> None:
         """One frame more. All have the size of the first."""
@@ -52,6 +61,7 @@ class SeenVideo:
         if size != self._size:
             picture = cv2.resize(picture, self._size)
         self._writer.write(picture)
+        self._frames += 1
 
 
 def drawn(step: Step) -> np.ndarray:

@@ -70,6 +70,7 @@ def test_paths_are_relative_to_the_file(tmp_path):
         ("how = 'swift'", ['how must be one of "fast", "slow", not "swift"']),
         ("name = 'a'\n[run]\nname = 'b'", ["'name' is set twice"]),
         ("config = 'other.toml'", ["'config' can be a flag only"]),
+        (r'file = "a\u0000b"', ["file must be text without a zero byte"]),
         ("name = ", ["is no TOML"]),
         ("a = " + "[" * 100_000, ["is no TOML"]),
     ],
@@ -91,9 +92,18 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     binary.write_bytes(b"\xff\xfe")
     with pytest.raises(StationError, match="UTF-8"):
         read_settings(binary, Settings, "run")
+    with pytest.raises(StationError, match="too large"):  # it never ends
+        read_settings(Path("/dev/zero"), Settings, "run")
 
 
-texts = st.text(st.characters(exclude_categories=("Cs",)))
+def test_the_mark_that_some_editors_begin_a_file_with_is_no_mistake(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_bytes(b"\xef\xbb\xbfname = 'slam'")
+    assert read_settings(path, Settings, "run").name == "slam"
+
+
+texts = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"))
+"""What a flag can hold: no zero byte."""
 
 
 @given(

@@ -54,8 +54,31 @@ def test_time_never_runs_backwards():
     clock.note(key(2), 5.1)
     assert clock.time_s(key(1), 105.5) == 105.5
     second_s = clock.time_s(key(2), 105.11)  # this one came faster, so the first one's time was 0.49 s late
-    assert second_s == 105.5
-    assert clock.time_s(key(3), 50.0) == 105.5
+    assert second_s == pytest.approx(105.55)
+    assert clock.time_s(key(3), 50.0) == second_s
+
+
+def test_times_that_were_late_are_caught_up_with_and_do_not_stand_still():
+    """The first frame takes 0.5 s longer than the others: they would have its time for half a second."""
+    clock, times_s = FrameClock(), []
+    for number in range(1, 61):
+        capture_s = number / 30
+        clock.note(key(number), capture_s)
+        times_s.append(clock.time_s(key(number), 100.0 + capture_s + (0.505 if number == 1 else 0.005)))
+    steps_s = [after - before for before, after in itertools.pairwise(times_s)]
+    assert min(steps_s) == pytest.approx(1 / 60, abs=1e-9)
+    assert times_s[32:] == pytest.approx([100.005 + number / 30 for number in range(33, 61)])
+
+
+def test_late_telemetry_of_one_frame_leaves_the_times_even_on_a_path_that_became_slower():
+    clock, times_s = FrameClock(), []
+    for number in range(1, 13):
+        capture_s = number / 30
+        if number != 5:
+            clock.note(key(number), capture_s)
+        times_s.append(clock.time_s(key(number), 100.0 + capture_s + (0.005 if number < 4 else 0.2)))
+    steps_s = [after - before for before, after in itertools.pairwise(times_s)]
+    assert steps_s == pytest.approx([1 / 30] * 11)
 
 
 def test_a_frame_whose_telemetry_was_lost_gets_its_arrival_time_and_the_next_one_its_capture_time():

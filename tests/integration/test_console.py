@@ -287,11 +287,11 @@ def test_a_page_that_drives_and_goes_lets_the_robot_stand(stage: Stage, leaving:
     stage.behave("teleop", page)
     page.keyboard.down("ArrowLeft")
     stage.log.wait_for(driving, since_s=stage.now_s(), what="wheels that turn")
-    gone_s = stage.now_s()
     if leaving == "closed":
         page.close()
     else:
         page.evaluate("() => window.dispatchEvent(new Event('blur'))")
+    gone_s = stage.now_s()
     stopped = stage.log.wait_for(lambda m: m.wheels_asked == (0, 0), since_s=gone_s, what="wheels asked to stand")
     assert stopped.monotonic_s - gone_s < 0.6
     time.sleep(0.3)
@@ -302,7 +302,11 @@ def test_a_page_that_drives_and_goes_lets_the_robot_stand(stage: Stage, leaving:
 PLUG_IN = """
 () => {
   window.stick = [0, -1];
-  const pad = { connected: true, id: "test", buttons: [], get axes() { return window.stick } };
+  const pad = {
+    connected: true, id: "test",
+    get axes() { return window.stick },
+    get buttons() { return [{ pressed: false }, { pressed: !!window.stopButton }] },
+  };
   navigator.getGamepads = () => window.stick ? [pad] : [];
 }
 """
@@ -326,6 +330,11 @@ def test_the_pages_pad_and_a_gamepad_drive_while_they_are_held(stage: Stage) -> 
     page.evaluate("() => { window.stick = null }")
     stage.log.wait_for(lambda m: m.wheels_asked == (0, 0), 1.0, since_s=stage.now_s(), what="wheels asked to stand")
     stage.behave("idle")
+    page.evaluate("() => { window.stick = [0, 0]; window.stopButton = true }")  # whatever the behaviour
+    stage.log.wait_for(latched, since_s=stage.now_s(), what="a latched stop")
+    page.evaluate("() => { window.stick = null; window.stopButton = false }")
+    page.locator("#release").click()
+    stage.log.wait_for(lambda m: not latched(m), since_s=stage.now_s(), what="a released robot")
 
 
 BOXES = "query => [...document.querySelectorAll(query)].map(found => found.getBoundingClientRect().toJSON())"
@@ -385,3 +394,6 @@ def test_the_console_ends_with_the_station_and_the_page_says_so(stage: Stage) ->
     stage.page.get_by_text(re.compile("station has ended|cannot be reached")).first.wait_for(timeout=10_000)
     assert stage.station.exit_code() == 0
     wait_until(lambda: not stage.station.orphans(), 5.0, "the console's end")
+    stage.page.locator("#stop").click()
+    stage.page.locator("#stop-title", has_text="NOT STOPPED").wait_for()
+    stage.page.locator("#stop-hint", has_text="cut its power").wait_for()

@@ -74,6 +74,7 @@ def test_foreign_pages_and_foreign_names_are_refused_on_loopback(folder: Path) -
         wait_until(lambda: up(address), 20.0, "the console")
         stop = json.dumps({"kind": "stop"}).encode()
         assert visit(address, "order", stop, content_type="application/json", origin="http://evil.example")[0] == 403
+        assert visit(address, "order", stop, content_type="application/json", origin="http://[")[0] == 403
         assert visit(address, "order", stop, content_type="text/plain")[0] == 415
         assert visit(address, host="evil.example")[0] == 403
         assert visit(address, "order", b'{"kind": "dance"}', content_type="application/json")[0] == 400

@@ -241,6 +241,19 @@ def test_a_video_of_ones_own_is_replayed(folder: Path, drawn: Path, capsys: pyte
     capture.release()
 
 
+@pytest.mark.parametrize("command", [["replay"], ["compare", "--trackers", "phase"]], ids=" ".join)
+def test_a_target_beside_the_picture_is_no_result(drawn: Path, capsys: pytest.CaptureFixture[str], command: list[str]):
+    assert cli.main([*command, str(drawn), "--target", "5000,5000,40,40", "--max-frames", "3"]) == 1
+    assert "was never learned" in capsys.readouterr().err
+
+
+def test_a_video_that_the_disk_has_no_room_for_is_told(folder: Path, drawn: Path, capsys: pytest.CaptureFixture[str]):
+    with small_disk(folder) as disk:
+        (disk / "full").write_bytes(b"\0" * 390_000)
+        assert cli.main(["replay", str(drawn), "--target", "100,60,100,100", "--video", str(disk / "seen.avi")]) == 1
+    assert "is cut short" in capsys.readouterr().err
+
+
 @pytest.mark.alone
 def test_a_station_that_is_killed_leaves_all_but_the_last_second(programs: Programs, port: int, folder: Path):
     run = folder / "run.mcap"
@@ -325,6 +338,11 @@ def test_a_file_that_may_not_grow_ends_the_recording_and_not_the_run(programs: P
         (["compare", "pictures", "--trackers", "ztransfrom"], "did you mean ztransform"),
         (["replay", "pictures", "--same"], "--same needs a recording"),
         (["export", "there.mcap", "out"], "is no MCAP file"),
+        (["export", "empty", "out"], "is a folder: name a FILE.mcap"),
+        (["run", "--picture", "run.pdf"], "--picture: name a file that ends in .png, not run.pdf"),
+        (["run", "--summary", "empty"], "--summary: empty is a folder"),
+        (["replay", "pictures", "--picture", "seen.jpg"], "--picture: name a file that ends in .png"),
+        (["compare", "pictures", "--trackers", "phase", "--json", "nowhere/a.json"], "there is no folder nowhere"),
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
 )

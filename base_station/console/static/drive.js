@@ -33,13 +33,20 @@ function letGo() {
   say();
 }
 
+function gamepads() {
+  if (!document.hasFocus() || document.hidden) return [];
+  return [...(navigator.getGamepads?.() ?? [])].filter((pad) => pad?.connected);
+}
+
+// Whoever drives: the button stops under every behaviour.
+function watchStopButton() {
+  const pressed = gamepads().some((pad) => pad.buttons[STOP_BUTTON]?.pressed);
+  if (pressed && !stopPressed && !document.body.classList.contains("replay")) stop();
+  stopPressed = pressed;
+}
+
 function gamepad() {
-  if (!document.hasFocus() || document.hidden) return [0, 0];
-  for (const pad of navigator.getGamepads?.() ?? []) {
-    if (!pad?.connected) continue;
-    const pressed = !!pad.buttons[STOP_BUTTON]?.pressed;
-    if (pressed && !stopPressed) stop();
-    stopPressed = pressed;
+  for (const pad of gamepads()) {
     const dead = (value) => (Math.abs(value) < DEAD_ZONE ? 0 : value);
     const forward = -dead(pad.axes[1] ?? 0) + (pad.buttons[12]?.pressed ? 1 : 0) - (pad.buttons[13]?.pressed ? 1 : 0);
     const left = -dead(pad.axes[0] ?? 0) + (pad.buttons[14]?.pressed ? 1 : 0) - (pad.buttons[15]?.pressed ? 1 : 0);
@@ -123,5 +130,8 @@ export function begin() {
     };
     for (const name of ["pointerup", "pointercancel"]) window.addEventListener(name, end, { once: true });
   });
-  setInterval(say, PERIOD_MS);
+  setInterval(() => {
+    watchStopButton();
+    say();
+  }, PERIOD_MS);
 }

@@ -1,8 +1,9 @@
 // The emergency stop: a bar of plain HTML outside of everything else, and the space bar.
 
-import { isTyping, order, toast } from "./orders.js";
+import { UNREACHABLE, isTyping, order, toast } from "./orders.js";
 
 const HINT = matchMedia("(hover: none)").matches ? "emergency stop" : "emergency stop · space bar";
+const ELSEWHERE = "Press space in the station's terminal or the robot's own button, or cut its power.";
 const TRIES = 3;
 const WORTH_ANOTHER = /cannot be reached|does not answer|did not confirm/;
 export const timings = []; // of the last stops: ms from the press to the robot's confirmation
@@ -19,7 +20,9 @@ export async function stop() {
   timings.push(performance.now() - pressed);
   if (timings.length > 100) timings.shift();
   bar().classList.remove("asked");
-  if (error) toast(error, "bad", 20000);
+  bar().classList.toggle("failed", error === UNREACHABLE);
+  if (error === UNREACHABLE) say("NOT STOPPED", `${error} ${ELSEWHERE}`); // stands until the console is back
+  else if (error) toast(error, "bad", 20000);
 }
 
 async function release() {
@@ -34,8 +37,13 @@ export function show(status) {
   const latched = !!status.latched;
   bar().classList.toggle("latched", latched);
   document.getElementById("release").hidden = !latched;
-  document.getElementById("stop-title").textContent = latched ? "STOPPED" : "STOP";
-  document.getElementById("stop-hint").textContent = latched ? status.reason : HINT;
+  bar().classList.remove("failed");
+  say(latched ? "STOPPED" : "STOP", latched ? status.reason : HINT);
+}
+
+function say(title, hint) {
+  document.getElementById("stop-title").textContent = title;
+  document.getElementById("stop-hint").textContent = hint;
 }
 
 export function begin() {

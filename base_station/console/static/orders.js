@@ -1,5 +1,6 @@
 // Orders to the station over plain HTTP, and short messages to the person at the page.
 
+export const UNREACHABLE = "The console cannot be reached.";
 const MOST_TOASTS = 2;
 const toasts = () => document.getElementById("toasts");
 
@@ -26,8 +27,8 @@ export async function order(fields, patience_ms = 4000) {
       signal: AbortSignal.timeout(patience_ms),
     });
     return (await answer.json()).error ?? "";
-  } catch (error) {
-    return `The console cannot be reached (${error.name}).`;
+  } catch {
+    return UNREACHABLE;
   }
 }
 

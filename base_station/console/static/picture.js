@@ -2,6 +2,7 @@
 
 import * as drive from "./drive.js";
 import * as emergency from "./emergency.js";
+import { UNREACHABLE } from "./orders.js";
 import { draw } from "./overlay.js";
 
 const KEPT = 300;
@@ -102,10 +103,10 @@ function tell(status) {
 function gone() {
   told = "";
   shown.head = null;
+  shown.status.link = shown.status.ended ? "The station has ended." : UNREACHABLE;
   redraw();
   drive.setBehaviour("");
-  const ended = shown.status.ended ? "The station has ended." : "The console cannot be reached.";
-  banner(`${ended} This page shows the last it knew.`);
+  banner(`${shown.status.link} This page shows the last it knew.`);
 }
 
 function banner(text) {

@@ -26,7 +26,8 @@ from base_station.evaluation.slam.run import Outcome, PictureOutcome, Slam, Slam
 from base_station.evaluation.slam.sequence import SlamSequence, read_sequence
 from base_station.evaluation.slam.trajectory import write_euroc, write_tum
 from base_station.evaluation.thesis.plotting import require
-from base_station.evaluation.tracking_command import check_options, plain_console, write_json
+from base_station.evaluation.tracking_command import check_options, plain_console
+from base_station.output_files import write_json
 from base_station.trackers.registry import class_in_file
 from base_station.trackers.slam.camera import SlamCamera
 

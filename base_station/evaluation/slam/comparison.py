@@ -27,7 +27,8 @@ from base_station.evaluation.benchmark_report import machine, machine_line
 from base_station.evaluation.slam.orbslam_files import write_settings, write_vocabulary
 from base_station.evaluation.slam.sequence import SlamSequence, read_sequence
 from base_station.evaluation.tool import run_tool
-from base_station.evaluation.tracking_command import check_options, plain_console, write_json
+from base_station.evaluation.tracking_command import check_options, plain_console
+from base_station.output_files import write_json
 from base_station.trackers.slam.vocabulary import Vocabulary
 
 PROG = "compare-slam"

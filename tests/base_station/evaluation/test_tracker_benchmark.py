@@ -176,7 +176,7 @@ def test_photographs_are_the_worlds_where_there_are_some(tmp_path):
         (["--worlds", "-1"], "--worlds must be 1..100, not -1"),
         (["--seed", "-1"], "--seed must be 0..4294967295, not -1"),
         (["--images", "nowhere"], "There is no folder nowhere"),
-        (["--json", "nowhere/figures.json"], "--json: nowhere/figures.json is no file in a folder that exists"),
+        (["--json", "nowhere/figures.json"], "--json nowhere/figures.json: there is no folder nowhere"),
         (["--frames", "many"], "many"),
     ],
 )
