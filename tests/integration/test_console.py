@@ -102,6 +102,20 @@ class Stage:
         self.choose(page, "Behaviour", name)
         page.wait_for_function("name => zservo.picture.status.behaviour === name", arg=name)
 
+    def face_the_target(self) -> None:
+        """Steer until it is well in view: a pattern on a slow machine may have turned the robot far away."""
+        self.behave("teleop")
+        for _ in range(8):
+            last = self.log.last
+            assert last is not None
+            if abs(bearing_deg(last)) < 12:
+                break
+            key = "ArrowLeft" if bearing_deg(last) > 0 else "ArrowRight"
+            self.page.keyboard.down(key)
+            self.log.wait_for(lambda m: abs(bearing_deg(m)) < 8, since_s=self.now_s(), what="a target ahead")
+            self.page.keyboard.up(key)
+            self.log.wait_for(standing, since_s=self.now_s(), what="a robot that stands")
+
     def now_s(self) -> float:
         """On the agent's clock."""
         assert self.log.last is not None
@@ -242,7 +256,8 @@ def test_the_space_bar_stops_but_not_while_typing(stage: Stage) -> None:
 
 
 def test_trackers_are_exchanged(stage: Stage) -> None:
-    stage.behave("follow")  # wherever the pattern was stopped, the target is to be well in view
+    stage.face_the_target()
+    stage.behave("follow")
     stage.log.wait_for(lambda m: abs(bearing_deg(m)) < 3, since_s=stage.now_s(), what="a target straight ahead")
     stage.behave("idle")
     stage.choose(stage.page, "Tracker", "klt")
@@ -353,6 +368,7 @@ def test_all_that_matters_is_in_view_and_nothing_behind_the_stop(stage: Stage, w
     assert page.evaluate("() => document.documentElement.scrollHeight") <= height
     (bar,) = boxes(page, "#emergency")
     for part in (".view", ".choices", ".landmarks", ".gauges", ".plots", ".signature"):
+        page.locator(part).wait_for()
         (box,) = boxes(page, part)
         assert box["top"] >= 0 and box["bottom"] <= bar["top"] and box["right"] <= width, part
     (view,), (plots,) = boxes(page, ".view"), boxes(page, ".plots canvas")
