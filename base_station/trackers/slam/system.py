@@ -70,7 +70,7 @@ class SlamSystem:
 
     `single_process`: the mapper works within `track`; the same pictures then give the same poses, for any machine load.
     `seed`: of the random choices when places are compared. `mapper_at_once`: wait for the mapper's process now; if
-    not, it starts with the first points, and the first map is some seconds late.
+    not, it gets ready meanwhile, and a map that begins in the first seconds is late.
     Raises StationError when pycolmap or gtsam is missing, or the mapper's process does not start.
     """
 
