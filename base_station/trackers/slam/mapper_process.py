@@ -88,7 +88,7 @@ class MapperProcess:
     """The mapper in a process of its own."""
 
     def __init__(self, camera: SlamCamera, settings: SlamSettings, *, at_once: bool = True) -> None:
-        """Starts the process and waits until it is ready; if not `at_once`, it starts with the first piece of work."""
+        """Starts the process and waits until it is ready; if not `at_once`, it gets ready while pictures are taken."""
         context = multiprocessing.get_context("spawn")
         self._work: Any = context.Queue()
         self._updates: Any = context.Queue()
@@ -99,14 +99,10 @@ class MapperProcess:
             daemon=True,
             name="slam-mapper",
         )
-        self._started = self._closed = False
-        if at_once:
-            self._start()
-            self._wait_until_ready()
-
-    def _start(self) -> None:
+        self._closed = False
         self._process.start()
-        self._started = True
+        if at_once:
+            self._wait_until_ready()
 
     def _wait_until_ready(self) -> None:
         for _ in range(READY_LOOKS):
@@ -123,8 +119,6 @@ class MapperProcess:
         raise StationError(f"SLAM's mapper did not start within {READY_WITHIN_S} s: is the machine overloaded?")
 
     def send(self, work: Work) -> None:
-        if not self._started:
-            self._start()
         self._sent += 1
         self._work.put(work)
 
@@ -146,7 +140,7 @@ class MapperProcess:
         return self._sent - self._received
 
     def alive(self) -> bool:
-        return self._started and not self._closed and self._process.is_alive()
+        return not self._closed and self._process.is_alive()
 
     def close(self) -> None:
         if self._closed:

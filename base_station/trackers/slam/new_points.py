@@ -1,17 +1,23 @@
-"""New points of a keyframe: what it and its neighbours both see, and no point explains yet."""
+"""New points of a keyframe: what it and its neighbours both see, and no point explains yet.
+
+Whether a pair of views can tell a point's depth is judged by where it should be, not by where it came out: by the
+parallax that it would have at the keyframe's usual depth. A bound on the measured parallax chooses by the error: the
+poses' own error is common to all points of a pair, and when it makes them come out near they pass, when it makes them
+come out far they do not. So the map shrinks with every turn in which few old points are left.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, match_epipolar
-from base_station.trackers.slam.se3 import camera_centers, inverse, rotation_angle_rad, transform
-from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
+from base_station.trackers.slam.se3 import camera_centers, inverse, transform
+from base_station.trackers.slam.triangulation import believable, fundamental_matrix, triangulate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,39 +28,20 @@ class NewPointSettings:
     """That a keyframe is matched with."""
     least_baseline: float = 0.01
     """Between two keyframes, as a share of the median depth; below, depth is a guess."""
-    least_parallax_rad: float = math.radians(1.0)
-    """Under which a point must be seen, and..."""
-    least_sigmas: float = 10.0
-    """...so many times the angle that a keypoint may be off: a tenth of the depth is uncertain then. Points
-    less sure are not wrong at random, they are too near: with them a turning camera loses its scale."""
-    starving: int = 120
-    """A keyframe that sees fewer points..."""
-    quick_rad_s: float = math.radians(60.0)
-    """...in a turn as quick as this is about to lose the map: what comes into view leaves it within some pictures..."""
-    starving_sigmas: float = 4.0
-    """...so for it less sure points are better than none. Only then: with them all the way, the map shrinks."""
+    least_sigmas: float = 6.0
+    """The parallax that a point should have, in standard deviations of a keypoint; with less, depth is not told..."""
+    least_measured_sigmas: float = 3.0
+    """...and what it must have: below, it is as good as infinitely far."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
     """Triangulate what this keyframe's free features show together with neighbours'; the new rows."""
-    made = []
-    if _is_starving(world, keyframe, settings):
-        least = settings.starving_sigmas / settings.least_sigmas
-        settings = replace(
-            settings, least_sigmas=settings.starving_sigmas, least_parallax_rad=least * settings.least_parallax_rad
-        )
-    for other in world.neighbours(keyframe, settings.neighbours):
-        made.append(_between(world, keyframe, int(other), camera, settings))
+    usual_depth = median_depth(world, keyframe)
+    made = [
+        _between(world, keyframe, int(other), usual_depth, camera, settings)
+        for other in world.neighbours(keyframe, settings.neighbours)
+    ]
     return np.concatenate(made) if made else np.empty(0, np.int32)
-
-
-def _is_starving(world: Map, keyframe: int, settings: NewPointSettings) -> bool:
-    if np.count_nonzero(world.point_of[keyframe] >= 0) >= settings.starving:
-        return False
-    before = world.keyframes_alive(int(world.component[keyframe]))
-    before = before[before < keyframe][-1:]
-    turned_rad = [rotation_angle_rad(world.poses[keyframe, :3, :3] @ world.poses[row, :3, :3].T) for row in before]
-    return any(turned_rad >= settings.quick_rad_s * np.abs(world.time_s[keyframe] - world.time_s[before]))
 
 
 def median_depth(world: Map, keyframe: int) -> float:
@@ -66,7 +53,9 @@ def median_depth(world: Map, keyframe: int) -> float:
     return float(np.median(transform(world.poses[keyframe], world.xyz[rows])[:, 2]))
 
 
-def _between(world: Map, one: int, two: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
+def _between(
+    world: Map, one: int, two: int, usual_depth: float, camera: SlamCamera, settings: NewPointSettings
+) -> np.ndarray:
     nothing = np.empty(0, np.int32)
     pose_one, pose_two = world.poses[one], world.poses[two]
     baseline = float(np.linalg.norm(camera_centers(pose_one) - camera_centers(pose_two)))
@@ -86,19 +75,28 @@ def _between(world: Map, one: int, two: int, camera: SlamCamera, settings: NewPo
         return nothing
     uv = of_one.xy_px[rows].astype(np.float64), of_two.xy_px[matches[rows]].astype(np.float64)
     scales = world.scales[of_one.octave[rows]], world.scales[of_two.octave[matches[rows]]]
+    sigma_rad = np.maximum(*scales) / camera.fx
     points = triangulate(pose_one, pose_two, *uv, camera.intrinsics)
     good = believable(
         points, (pose_one, pose_two), uv, scales, camera.intrinsics,
-        least_parallax_rad=settings.least_parallax_rad, octave_scales=(1.0 / scales[0], 1.0 / scales[1]),
+        least_parallax_rad=settings.least_measured_sigmas * sigma_rad, octave_scales=(1.0 / scales[0], 1.0 / scales[1]),
     )  # fmt: skip
-    surely = np.cos(np.minimum(settings.least_sigmas * np.maximum(*scales) / camera.fx, 1.0))
-    with np.errstate(invalid="ignore"):
-        good &= parallax_cosines(points, camera_centers(pose_one), camera_centers(pose_two)) < surely
+    due_rad = expected_parallaxes(uv[0], inverse(two_from_one)[:3, 3], usual_depth, camera)
+    good &= due_rad > settings.least_sigmas * sigma_rad
     made = world.add_points(points[good], of_one.descriptors[rows[good]], one)
     world.point_of[one, rows[good]] = made
     world.point_of[two, matches[rows[good]]] = made
     world.mark(keyframes=np.array([one, two]))
     return made
+
+
+def expected_parallaxes(uv_px: np.ndarray, baseline: np.ndarray, depth: float, camera: SlamCamera) -> np.ndarray:
+    """The angle (n,) between the two views of points of this depth, seen at (n, 2); `baseline` (3,): the other camera,
+    in this one's coordinates."""
+    rays = np.column_stack([(uv_px - camera.intrinsics[2:]) / camera.intrinsics[:2], np.ones(len(uv_px))])
+    lengths = np.linalg.norm(rays, axis=1)
+    aside = np.linalg.norm(np.cross(rays, baseline), axis=1) / lengths
+    return np.asarray(np.arctan(aside / (depth * lengths)))
 
 
 def _epipole(two_from_one: np.ndarray, camera: SlamCamera) -> np.ndarray:

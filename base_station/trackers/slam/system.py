@@ -70,7 +70,7 @@ class SlamSystem:
 
     `single_process`: the mapper works within `track`; the same pictures then give the same poses, for any machine load.
     `seed`: of the random choices when places are compared. `mapper_at_once`: wait for the mapper's process now; if
-    not, it starts with the first points, and the first map is some seconds late.
+    not, it gets ready meanwhile, and a map that begins in the first seconds is late.
     Raises StationError when pycolmap or gtsam is missing, or the mapper's process does not start.
     """
 
@@ -110,6 +110,7 @@ class SlamSystem:
         """The last picture that could be looked at, with its features and the map points that they show."""
         self._caught_up = 0.0, -math.inf
         """When the mapper last had nothing to do: in the pictures' time, and by the clock."""
+        self._reference = NONE
         self._trajectory: list[_Tracked] = []
         self._unsettled = False
         """Whether the map has changed since it was adjusted as a whole."""
@@ -244,15 +245,17 @@ class SlamSystem:
         return found
 
     def _located(self, picture: Picture, found: Located) -> SlamFrame:
+        told = self._tracker.is_trustworthy(picture, found)
         self._tracker.remember(picture, found, moving=not self._lost_frames)
         self._component = int(self._map.component[found.reference])
         self._last_located_s, self._lost_frames = picture.time_s, 0
-        self._counts.tracked += 1
         self._initializer.reset()
-        reference = found.reference
+        self._reference = reference = found.reference
         from_reference = relative(found.cam_from_world, self._map.poses[reference])
         where = _Tracked(picture.time_s, reference, from_reference, float(self._map.sizes[reference]))
-        self._trajectory.append(where)
+        if told:
+            self._counts.tracked += 1
+            self._trajectory.append(where)
         kept = wants_keyframe(
             self.settings.keyframes,
             frames_since=self._counts.frames - self._keyframe_frame,
@@ -262,6 +265,9 @@ class SlamSystem:
         )
         if kept:
             self._keep(picture, where)
+        if not told:
+            reason = f"only {found.matches} points of the map are seen in a quick turn: followed, but not surely"
+            return SlamFrame(TrackingState.LOST, reason=reason, keyframe=kept, matches=found.matches)
         return SlamFrame(
             TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches,
             component=self._component,
@@ -356,8 +362,8 @@ class SlamSystem:
 
     @property
     def reference(self) -> int:
-        """The keyframe that shares most with the last tracked picture; -1 before the first."""
-        return self._trajectory[-1].reference if self._trajectory else NONE
+        """The keyframe that shares most with the last picture that was followed; -1 before the first."""
+        return self._reference
 
     # --- the end ----------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from base_station.trackers.base import MapView, Shown, Survey
 from base_station.trackers.baselines.patch import Found, Learned, Missed, PatchTracker
-from base_station.trackers.baselines.similarity import LEAST_INLIERS, fit_similarity
+from base_station.trackers.baselines.similarity import LEAST_INLIERS
 from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.compass import ZCompass
@@ -24,14 +24,13 @@ from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.se3 import camera_centers, inverse
+from base_station.trackers.slam.sighting import sight
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
 from base_station.trackers.slam.target import MapTarget, Placed, differ, heading_of, place_in_map, result_of, target_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 SURE_MATCHES = 150
 """Map points seen, from which on a pose could not be surer."""
-LEAST_AGREEING = 0.25
-"""Of the matches with the learned picture, that must agree on one similarity."""
 MOST_CHECKS = 40
 PLACE_EVERY = 5
 """Frames between two attempts to place the target in the map."""
@@ -126,6 +125,10 @@ class SlamTracker(PatchTracker):
             result = super().update(frame)
             ahead = learned.is_place and result.bearing_rad is not None and abs(result.bearing_rad) < NEARLY_AHEAD_RAD
             return self._with_compass(frame, result, result.bearing_rad if ahead else None)
+        if self._learned_row == NONE and not learned.is_place:
+            result = super().update(frame)
+            if result.state is TrackingState.TRACKING:  # what is seen is surer than where it may be in the map
+                return self._with_compass(frame, result, None)
         confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
         result = result_of(self._target, slam.map, pose, learned, frame.camera, confidence)
         if self._learned_row == NONE:  # its twin would be seen from the other side; which it is, moving will tell
@@ -201,16 +204,19 @@ class SlamTracker(PatchTracker):
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
         """In the picture itself, while the map cannot say."""
         picture = None if self._slam is None else self._slam.last_picture
-        if self._features is None or picture is None or len(picture.features) < LEAST_INLIERS:
+        if self._features is None or self._camera is None or picture is None or len(picture.features) < LEAST_INLIERS:
             return Missed("the target is hidden or gone (no corners in the picture)")
         mine = self._features.part(np.flatnonzero(self._in_box))
         matches = match_everywhere(mine.descriptors, mine.angle_deg, picture.features, most=64, ratio=0.8)
         rows = np.flatnonzero(matches >= 0)
-        motion = fit_similarity(mine.xy_px[rows], picture.features.xy_px[matches[rows]])
-        if motion is None or motion.inliers < LEAST_AGREEING * len(rows):
+        middle_px = self._camera.undistort(np.array([learned.center_px]))[0]
+        found = sight(
+            mine.xy_px[rows], picture.features.xy_px[matches[rows]], middle_px, self._camera, flat=not learned.is_place
+        )
+        if found is None:
             return Missed(f"the target is hidden or gone ({len(rows)} of {len(mine)} corners matched)")
-        x, y = motion.moved(*learned.center_px)
-        return Found(x=x, y=y, zoom=motion.zoom, confidence=motion.inliers / len(rows))
+        x, y = self._shown_at(found.middle_px[None])[0].tolist()
+        return Found(x=x, y=y, zoom=found.zoom, confidence=found.inliers / len(rows))
 
     def show(self) -> Shown:
         """See `base.Shows`. The corners that are known points of the map; while there is none, all corners."""

@@ -61,7 +61,7 @@ def believable(
     sigma_px: tuple[np.ndarray, np.ndarray],
     intrinsics: np.ndarray,
     *,
-    least_parallax_rad: float,
+    least_parallax_rad: float | np.ndarray,
     octave_scales: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Which points (n,) lie before both cameras, project where they are seen, and are seen under enough of an angle.
