@@ -208,7 +208,7 @@ class LooseFollower:
         self._read_last = self._read()
         peak = self._position.find(self._read_last)
         if peak.sharpness < self._settings.least_sharpness:
-            in_any_light = self._position.find(self._read_shape())
+            in_any_light = self._position.find_without(self._read_last)
             peak = max(peak, in_any_light, key=lambda one: one.sharpness)
         self._peak = peak
         self._found = self._placed(pyramid, start, peak, self.turn_rad)

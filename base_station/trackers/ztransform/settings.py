@@ -64,6 +64,8 @@ class ZTransformSettings:
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
     search_every: int = 4
     """While a proven target looks as usual, though not firm, it is searched for in every so many frames only."""
+    lost_search_every: int = 4
+    """While a loose target is lost, it is searched for as a rigid one in every so many frames only."""
     hold_share: float = 0.8
     """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)

@@ -171,7 +171,7 @@ class ZTransformTracker:
             loose = self._recollected(pyramid, loose) or loose
             if loose is not None:
                 return loose, True
-            if self._is_tracking:
+            if self._is_tracking or self._frames_lost % settings.lost_search_every:
                 return Look(self._motion.last, 0.0, 0.0), False
         if followed and self._is_as_usual(followed) and self._frames % settings.search_every:
             return followed, True
