@@ -137,6 +137,17 @@ def highest(answer):
     return best, (best - mean) / spread, row, column, mean, spread
 
 
+@njit(cache=True, error_model="numpy")
+def highest_near(answer, down, right):
+    """The highest real part at most a cell from the one (down, right) from the middle."""
+    rows, columns, _ = answer.shape
+    best = -np.inf
+    for y in range(down - 1, down + 2):
+        for x in range(right - 1, right + 2):
+            best = max(best, answer[y % rows, x % columns, 0])
+    return best
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def phase_ramp(size, rest):
     """exp(2 pi j f rest) for the frequencies f of a transform of this size; float32 (size, 2)."""
@@ -236,11 +247,7 @@ class CorrelationFilter:
         """The sharpness of what was kept at (within a cell of) a peak of the patch that was last looked at."""
         answer = self._answered(*self._kept)
         *_, mean, spread = highest(answer)
-        down, right = (
-            (round(place) + np.arange(-1, 2)) % n
-            for place, n in zip((peak.rows, peak.columns), self._shape, strict=True)
-        )
-        return float((answer[np.ix_(down, right)][..., 0].max() - mean) / spread)
+        return float((highest_near(answer, round(peak.rows), round(peak.columns)) - mean) / spread)
 
     def _answered(self, numerator: np.ndarray, energy: np.ndarray) -> np.ndarray:
         respond(numerator, energy, self._least, self._whole, self._answer)
