@@ -46,12 +46,15 @@ class ZTransformSettings:
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
     near: float = 0.3
     """In sides of the target: few move further from one frame to the next."""
-    far_sharpness: float = 7.5
+    far_sharpness: float = 8.5
     """What an answer elsewhere, or to a search, must have to be the loose target's..."""
-    again_sharpness: float = 6.5
+    again_sharpness: float = 7.5
     """... or else one in the frame after it, near to it."""
     hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
+    lately_frames: int = 15
+    """For so long after a loss a loose target is taken to be where it was: an answer there needs no more than while it
+    was followed."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0

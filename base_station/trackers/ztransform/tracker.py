@@ -269,14 +269,17 @@ class ZTransformTracker:
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
         confirming = self._candidate is not None
-        near = (confirming or self._is_tracking) and _is_near(sighting.placement, start, settings.near)
+        lately = self._is_tracking or self._frames_lost <= settings.lately_frames
+        near = (confirming or lately) and _is_near(sighting.placement, start, settings.near)
         least = settings.loose.least_sharpness
         needed = settings.far_sharpness if not near else settings.again_sharpness if confirming else least
         clear = sighting.sharpness >= needed
         self._candidate = sighting.placement if least <= sighting.sharpness < needed else None
         if not clear:
-            held = self._is_loose and self._is_tracking and near and sighting.sharpness >= settings.hold_sharpness
-            if not held or _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
+            held = self._is_loose and near and not confirming
+            if not held or sighting.sharpness < settings.hold_sharpness:
+                return None
+            if _share_inside(sighting.placement, pyramid.image.shape) < settings.hold_share:
                 return None
         proven = self._is_proven and time_s - self._firm_s < settings.reconsider_s
         placement = self._loose.adapt(pyramid) if clear and not proven else sighting.placement
