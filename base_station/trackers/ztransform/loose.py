@@ -32,7 +32,7 @@ class LooseSettings:
     """Across the window."""
     flat: float = 0.8
     """Of the target's width and height that is learned in full."""
-    mask: float = 1.1
+    mask: float = 1.25
     """Of its width and height beyond which nothing is learned."""
     by_likelihood: float = 0.5
     """How far a cell's light decides whether it is learned: 0 not at all, 1 alone."""
