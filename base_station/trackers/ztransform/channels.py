@@ -35,13 +35,12 @@ class ChannelSettings:
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def transpose(source, out):
-    """out = source transposed, both square, in blocks that stay in the cache."""
+    """out = source transposed, both square."""
     n = source.shape[0]
-    for top in range(0, n, 8):
-        for left in range(0, n, 8):
-            for y in range(top, min(top + 8, n)):
-                for x in range(left, min(left + 8, n)):
-                    out[x, y] = source[y, x]
+    for y in range(n):
+        row = out[y]
+        for x in range(n):
+            row[x] = source[x, y]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -107,20 +106,21 @@ def keep_phase(re, im, floor, out, turned):
             power += re[y, x] * re[y, x] + im[y, x] * im[y, x]
     least = floor * np.sqrt(power / np.float32(n * n)) + np.float32(1e-6)
     for y in range(n):
+        row_re, row_im = re[y], im[y]
         for x in range(n):
-            gain = np.float32(1.0) / (np.sqrt(re[y, x] * re[y, x] + im[y, x] * im[y, x]) + least)
-            re[y, x] *= gain
-            im[y, x] *= gain
-    if turned:
-        for y in range(n):
+            gain = np.float32(1.0) / (np.sqrt(row_re[x] * row_re[x] + row_im[x] * row_im[x]) + least)
+            row_re[x] *= gain
+            row_im[x] *= gain
+    lines = out.reshape(n, 2 * n)  # real and imaginary parts in turns, so that several cells are taken at a time
+    for y in range(n):
+        line = lines[y]
+        if turned:
             for x in range(n):
-                out[x, y, 0] = re[y, x]
-                out[x, y, 1] = im[y, x]
-    else:
-        for y in range(n):
+                line[2 * x], line[2 * x + 1] = re[x, y], im[x, y]
+        else:
+            row_re, row_im = re[y], im[y]
             for x in range(n):
-                out[y, x, 0] = re[y, x]
-                out[y, x, 1] = im[y, x]
+                line[2 * x], line[2 * x + 1] = row_re[x], row_im[x]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -146,7 +146,7 @@ def phase_channels(patch, pole_re, pole_im, across, floor, out):
 @njit(cache=True, fastmath=True, error_model="numpy")
 def light_channel(patch, likelihood, weight, out):
     """The light, less its mean and by its spread, and weight * likelihood of every cell's grey level, into
-    (cells, cells, 2). `likelihood`: -1..1 for evenly spaced grey levels, read with linear interpolation."""
+    (cells, cells, 2). `likelihood`: -1..1 for evenly spaced grey levels, interpolated at whole ones."""
     n, bins = patch.shape[0], len(likelihood)
     total, squares = 0.0, 0.0
     for y in range(n):
@@ -155,14 +155,17 @@ def light_channel(patch, likelihood, weight, out):
             squares += patch[y, x] * patch[y, x]
     mean = np.float32(total / (n * n))
     gain = np.float32(1.0 / (np.sqrt(max(squares / (n * n) - (total / (n * n)) ** 2, 0.0)) + 1e-6))
-    step, half, zero, one = np.float32(bins / 256.0), np.float32(0.5), np.float32(0.0), np.float32(1.0)
+    table = np.empty(256, np.float32)
+    for level in range(256):
+        place = min(max(level * bins / 256.0 - 0.5, 0.0), bins - 1.001)
+        lower = int(place)
+        table[level] = weight * (likelihood[lower] + (place - lower) * (likelihood[lower + 1] - likelihood[lower]))
+    lines = out.reshape(n, 2 * n)
     for y in range(n):
+        line, levels = lines[y], patch[y]
         for x in range(n):
-            place = min(max(patch[y, x] * step - half, zero), np.float32(bins - 1.001))
-            lower = int(place)
-            part = min(max(place - np.float32(lower), zero), one)
-            out[y, x, 0] = (patch[y, x] - mean) * gain
-            out[y, x, 1] = weight * (likelihood[lower] + part * (likelihood[lower + 1] - likelihood[lower]))
+            line[2 * x] = (levels[x] - mean) * gain
+            line[2 * x + 1] = table[int(levels[x])]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -47,46 +47,76 @@ MIDDLE = Peak(height=1.0, sharpness=math.inf, rows=0.0, columns=0.0)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def fade(channels, window, out):
+    """out = window times the channels. Here and below a row is read as one line, real and imaginary parts in turn: so
+    compiled code takes several cells at a time."""
+    count, rows, columns, _ = channels.shape
+    lines, faded = channels.reshape(count, rows, 2 * columns), out.reshape(count, rows, 2 * columns)
+    for c in range(count):
+        for y in range(rows):
+            source, weight, into = lines[c, y], window[y], faded[c, y]
+            for x in range(columns):
+                into[2 * x] = source[2 * x] * weight[x]
+                into[2 * x + 1] = source[2 * x + 1] * weight[x]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
 def cut_out(channels, down, right, mask, out):
     """out = mask times the channels moved so that the cell (down, right) from the middle comes to the middle."""
     count, rows, columns, _ = channels.shape
-    for y in range(rows):
-        source_y = y + down
-        for x in range(columns):
-            source_x = x + right
-            inside = source_y >= 0 and source_y < rows and source_x >= 0 and source_x < columns
-            weight = mask[y, x] if inside else np.float32(0.0)
-            if weight > 0:
-                for c in range(count):
-                    out[c, y, x, 0] = channels[c, source_y, source_x, 0] * weight
-                    out[c, y, x, 1] = channels[c, source_y, source_x, 1] * weight
-            else:
-                for c in range(count):
-                    out[c, y, x, 0] = out[c, y, x, 1] = np.float32(0.0)
+    lines, cut = channels.reshape(count, rows, 2 * columns), out.reshape(count, rows, 2 * columns)
+    first, last = max(0, -right), min(columns, columns - right)
+    for c in range(count):
+        for y in range(rows):
+            into = cut[c, y]
+            if y + down < 0 or y + down >= rows or first >= last:
+                for i in range(2 * columns):
+                    into[i] = np.float32(0.0)
+                continue
+            for i in range(2 * first):
+                into[i] = np.float32(0.0)
+            for i in range(2 * last, 2 * columns):
+                into[i] = np.float32(0.0)
+            source, weight = lines[c, y + down, 2 * (first + right) : 2 * (last + right)], mask[y, first:last]
+            into = into[2 * first : 2 * last]
+            for x in range(last - first):
+                into[2 * x] = source[2 * x] * weight[x]
+                into[2 * x + 1] = source[2 * x + 1] * weight[x]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def respond(numerator, energy, least, spectrum, out):
     """out = sum over channels of conj(numerator) * spectrum, over energy + least: the answer's spectrum."""
     count, rows, columns, _ = spectrum.shape
+    learned, seen = numerator.reshape(count, rows, 2 * columns), spectrum.reshape(count, rows, 2 * columns)
+    answer = out.reshape(rows, 2 * columns)
+    re, im = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for y in range(rows):
         for x in range(columns):
-            out[y, x, 0] = out[y, x, 1] = np.float32(0.0)
+            re[x] = im[x] = np.float32(0.0)
         for c in range(count):
+            a, b = learned[c, y], seen[c, y]
             for x in range(columns):
-                a_re, a_im = numerator[c, y, x, 0], numerator[c, y, x, 1]
-                x_re, x_im = spectrum[c, y, x, 0], spectrum[c, y, x, 1]
-                out[y, x, 0] += a_re * x_re + a_im * x_im
-                out[y, x, 1] += a_re * x_im - a_im * x_re
+                a_re, a_im, b_re, b_im = a[2 * x], a[2 * x + 1], b[2 * x], b[2 * x + 1]
+                re[x] += a_re * b_re + a_im * b_im
+                im[x] += a_re * b_im - a_im * b_re
+        into, power = answer[y], energy[y]
         for x in range(columns):
-            share = np.float32(1.0) / (energy[y, x] + least)
-            out[y, x, 0] *= share
-            out[y, x, 1] *= share
+            share = np.float32(1.0) / (power[x] + least)
+            into[2 * x] = re[x] * share
+            into[2 * x + 1] = im[x] * share
+
+
+@njit(cache=True, error_model="numpy")
+def between(before, highest, after):
+    """Where between the three, -0.5..0.5, a parabola through them is highest."""
+    bend = before - 2.0 * highest + after
+    return min(max(0.5 * (before - after) / bend, -0.5), 0.5) if bend < 0 else 0.0
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def highest(answer):
-    """Row and column of the highest real part, its height, mean and standard deviation of all."""
+    """Height, sharpness, row and column of the highest real part (see `Peak`), mean and standard deviation of all."""
     rows, columns, _ = answer.shape
     best, best_row, best_column = answer[0, 0, 0], 0, 0
     total, squares = 0.0, 0.0
@@ -98,7 +128,24 @@ def highest(answer):
             if value > best:
                 best, best_row, best_column = value, y, x
     mean = total / (rows * columns)
-    return best_row, best_column, best, mean, math.sqrt(max(squares / (rows * columns) - mean * mean, 1e-12))
+    spread = math.sqrt(max(squares / (rows * columns) - mean * mean, 1e-12))
+    above, below = answer[(best_row - 1) % rows, best_column, 0], answer[(best_row + 1) % rows, best_column, 0]
+    left, right = answer[best_row, (best_column - 1) % columns, 0], answer[best_row, (best_column + 1) % columns, 0]
+    row, column = between(above, best, below), between(left, best, right)
+    row += (best_row + rows // 2) % rows - rows // 2
+    column += (best_column + columns // 2) % columns - columns // 2
+    return best, (best - mean) / spread, row, column, mean, spread
+
+
+@njit(cache=True, error_model="numpy")
+def highest_near(answer, down, right):
+    """The highest real part at most a cell from the one (down, right) from the middle."""
+    rows, columns, _ = answer.shape
+    best = -np.inf
+    for y in range(down - 1, down + 2):
+        for x in range(right - 1, right + 2):
+            best = max(best, answer[y % rows, x % columns, 0])
+    return best
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -117,20 +164,29 @@ def blend(rate, label, rest_rows, rest_columns, target, whole, numerator, energy
     energy."""
     count, rows, columns, _ = target.shape
     keep = np.float32(1.0) - rate
-    ramp_rows, ramp_columns = phase_ramp(rows, rest_rows), phase_ramp(columns, rest_columns)
+    targets, wholes = target.reshape(count, rows, 2 * columns), whole.reshape(count, rows, 2 * columns)
+    learned, labels = numerator.reshape(count, rows, 2 * columns), label.reshape(rows, 2 * columns)
+    ramp_rows, ramp_columns = phase_ramp(rows, rest_rows), phase_ramp(columns, rest_columns).reshape(2 * columns)
+    l_re, l_im, power = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     for y in range(rows):
+        down_re, down_im, line = ramp_rows[y, 0], ramp_rows[y, 1], labels[y]
         for x in range(columns):
-            r_re = ramp_rows[y, 0] * ramp_columns[x, 0] - ramp_rows[y, 1] * ramp_columns[x, 1]
-            r_im = ramp_rows[y, 0] * ramp_columns[x, 1] + ramp_rows[y, 1] * ramp_columns[x, 0]
-            l_re = rate * (r_re * label[y, x, 0] + r_im * label[y, x, 1])
-            l_im = rate * (r_im * label[y, x, 0] - r_re * label[y, x, 1])
-            power = np.float32(0.0)
-            for c in range(count):
-                t_re, t_im = target[c, y, x, 0], target[c, y, x, 1]
-                numerator[c, y, x, 0] = keep * numerator[c, y, x, 0] + l_re * t_re - l_im * t_im
-                numerator[c, y, x, 1] = keep * numerator[c, y, x, 1] + l_re * t_im + l_im * t_re
-                power += whole[c, y, x, 0] * whole[c, y, x, 0] + whole[c, y, x, 1] * whole[c, y, x, 1]
-            energy[y, x] = keep * energy[y, x] + rate * power
+            right_re, right_im = ramp_columns[2 * x], ramp_columns[2 * x + 1]
+            r_re, r_im = down_re * right_re - down_im * right_im, down_re * right_im + down_im * right_re
+            l_re[x] = rate * (r_re * line[2 * x] + r_im * line[2 * x + 1])
+            l_im[x] = rate * (r_im * line[2 * x] - r_re * line[2 * x + 1])
+            power[x] = np.float32(0.0)
+        for c in range(count):
+            t, w, a = targets[c, y], wholes[c, y], learned[c, y]
+            for x in range(columns):
+                a_re, a_im, t_re, t_im = a[2 * x], a[2 * x + 1], t[2 * x], t[2 * x + 1]
+                w_re, w_im = w[2 * x], w[2 * x + 1]
+                a[2 * x] = keep * a_re + l_re[x] * t_re - l_im[x] * t_im
+                a[2 * x + 1] = keep * a_im + l_re[x] * t_im + l_im[x] * t_re
+                power[x] += w_re * w_re + w_im * w_im
+        energies = energy[y]
+        for x in range(columns):
+            energies[x] = keep * energies[x] + rate * power[x]
 
 
 class CorrelationFilter:
@@ -139,25 +195,26 @@ class CorrelationFilter:
 
     def __init__(self, window: np.ndarray, settings: FilterSettings) -> None:
         rows, columns = self._shape = window.shape
-        self._window, self._settings = np.repeat(window.astype(np.float32)[..., None], 2, -1), settings
+        self._window, self._settings = window.astype(np.float32), settings
         distance = [(np.arange(n) + n // 2) % n - n // 2 for n in (rows, columns)]
         label = np.exp(-(distance[0][:, None] ** 2 + distance[1][None] ** 2) / (2 * settings.label_cells**2))
         spectrum = np.fft.fft2(label)
         self._label = np.stack([spectrum.real, spectrum.imag], -1).astype(np.float32)
         self._answer = np.empty((rows, columns, 2), np.float32)
-        self._whole: np.ndarray | None = None
+        self._whole = self._cut = np.empty((0, rows, columns, 2), np.float32)
 
     def learn(self, channels: np.ndarray, mask: np.ndarray | None = None) -> None:
         """Begin anew with the target in the middle. `mask`: which cells are the target, 0..1; None: the window."""
         self._numerator = np.zeros_like(channels)
         self._energy = np.zeros(self._shape, np.float32)
-        self._whole = self._transformed(channels)
+        self._whole, self._cut = np.empty_like(channels), np.empty_like(channels)
+        self._transform(channels)
         self._take(np.float32(1.0), channels, mask, MIDDLE)
         self._least = np.float32(self._settings.regularisation * self._energy.max() + 1e-6)
 
     def learn_also(self, channels: np.ndarray, mask: np.ndarray | None, number: int) -> None:
         """One more view of the target, in the middle too: the `number`-th, so that all of them weigh the same."""
-        self._whole = self._transformed(channels)
+        self._transform(channels)
         self._take(np.float32(1 / number), channels, mask, MIDDLE)
 
     def keep(self) -> None:
@@ -170,23 +227,27 @@ class CorrelationFilter:
 
     def find(self, channels: np.ndarray) -> Peak:
         """Where it is in this patch."""
-        self._whole = self._transformed(channels)
+        self._transform(channels)
+        return self._highest(self._answered(self._numerator, self._energy))
+
+    def find_without(self, channels: np.ndarray) -> Peak:
+        """As the last `find`, its channels but without the last one's imaginary part: one transform instead of all."""
+        last = channels[-1:].copy()
+        last[..., 1] = 0.0
+        fade(last, self._window, self._whole[-1:])
+        _transformed(self._whole[-1:])
         return self._highest(self._answered(self._numerator, self._energy))
 
     def recall(self, channels: np.ndarray) -> Peak:
         """As `find`, for what was kept. `adapt` needs another `find` first."""
-        self._whole = self._transformed(channels)
+        self._transform(channels)
         return self._highest(self._answered(*self._kept))
 
     def familiarity(self, peak: Peak) -> float:
         """The sharpness of what was kept at (within a cell of) a peak of the patch that was last looked at."""
         answer = self._answered(*self._kept)
-        _, _, _, mean, spread = highest(answer)
-        down, right = (
-            (round(place) + np.arange(-1, 2)) % n
-            for place, n in zip((peak.rows, peak.columns), self._shape, strict=True)
-        )
-        return float((answer[np.ix_(down, right)][..., 0].max() - mean) / spread)
+        *_, mean, spread = highest(answer)
+        return float((highest_near(answer, round(peak.rows), round(peak.columns)) - mean) / spread)
 
     def _answered(self, numerator: np.ndarray, energy: np.ndarray) -> np.ndarray:
         respond(numerator, energy, self._least, self._whole, self._answer)
@@ -194,13 +255,8 @@ class CorrelationFilter:
 
     @staticmethod
     def _highest(answer: np.ndarray) -> Peak:
-        row, column, height, mean, spread = highest(answer)
-        return Peak(
-            height=float(height),
-            sharpness=(height - mean) / spread,
-            rows=_between(answer[:, column, 0], row),
-            columns=_between(answer[row, :, 0], column),
-        )
+        height, sharpness, row, column, _, _ = highest(answer)
+        return Peak(height=float(height), sharpness=sharpness, rows=row, columns=column)
 
     def adapt(self, channels: np.ndarray, peak: Peak, mask: np.ndarray | None = None, times: int = 1) -> None:
         """Learn from the channels that `find` was last called with; `peak` says where the target is in them.
@@ -214,14 +270,14 @@ class CorrelationFilter:
         if mask is None:
             target = self._whole
         else:
-            cut = np.empty_like(channels)
-            cut_out(channels, down, right, mask, cut)
-            target = _transformed(cut)
+            cut_out(channels, down, right, mask, self._cut)
+            target = _transformed(self._cut)
         rest = peak.rows - down, peak.columns - right
         blend(rate, self._label, *rest, target, self._whole, self._numerator, self._energy)
 
-    def _transformed(self, channels: np.ndarray) -> np.ndarray:
-        return _transformed(channels * self._window)
+    def _transform(self, channels: np.ndarray) -> None:
+        fade(channels, self._window, self._whole)
+        _transformed(self._whole)
 
 
 def _transformed(channels: np.ndarray) -> np.ndarray:
@@ -229,12 +285,3 @@ def _transformed(channels: np.ndarray) -> np.ndarray:
     for channel in channels:
         cv2.dft(channel, channel)
     return channels
-
-
-def _between(line: np.ndarray, n: int) -> float:
-    """Position of the peak on a circular line from its middle (index 0), refined by a parabola."""
-    size = len(line)
-    left, middle, right = (float(line[(n + k) % size]) for k in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    part = min(max(0.5 * (left - right) / bend, -0.5), 0.5) if bend < 0 else 0.0
-    return (n + size // 2) % size - size // 2 + part

@@ -32,7 +32,7 @@ class LooseSettings:
     """Across the window."""
     flat: float = 0.8
     """Of the target's width and height that is learned in full."""
-    mask: float = 1.5
+    mask: float = 1.25
     """Of its width and height beyond which nothing is learned."""
     by_likelihood: float = 0.5
     """How far a cell's light decides whether it is learned: 0 not at all, 1 alone."""
@@ -208,7 +208,7 @@ class LooseFollower:
         self._read_last = self._read()
         peak = self._position.find(self._read_last)
         if peak.sharpness < self._settings.least_sharpness:
-            in_any_light = self._position.find(self._read_shape())
+            in_any_light = self._position.find_without(self._read_last)
             peak = max(peak, in_any_light, key=lambda one: one.sharpness)
         self._peak = peak
         self._found = self._placed(pyramid, start, peak, self.turn_rad)

@@ -12,6 +12,9 @@ from base_station.trackers.ztransform.settings import ZTransformSettings
 from base_station.trackers.ztransform.texture import texture_of
 from base_station.types import Box, Frame
 
+NOISE_LINES = 16
+"""Of a frame without the target, in which the noise is measured: all would take as long as the search."""
+
 
 def check_box(target: Box, shape: tuple[int, int], settings: ZTransformSettings) -> None:
     """Raises ValueError when it lies outside of a frame of this shape, or is too small."""
@@ -37,7 +40,7 @@ def pixel_texture(frame: Frame, target: Box | None, settings: ZTransformSettings
 def why_lost(frame: Frame, ahead: np.ndarray, confidence: float, settings: ZTransformSettings) -> str:
     """What probably happened. `ahead`: the placement where the target should be now."""
     rows, columns = frame.shape
-    texture = texture_of(frame.image, max(1, min(columns // 32, frame.image.shape[0] // 3)))
+    texture = texture_of(frame.image, max(1, min(columns // 32, frame.image.shape[0] // 3)), noise_lines=NOISE_LINES)
     if texture < settings.least_texture:
         return f"featureless: the view's texture is {texture:.1f} grey levels"
     side = left_side(ahead, columns, rows)

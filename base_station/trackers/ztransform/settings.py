@@ -46,12 +46,15 @@ class ZTransformSettings:
     """A resemblance from which on a jump needs not the loose follower's agreement, which knows no covered parts."""
     near: float = 0.3
     """In sides of the target: few move further from one frame to the next."""
-    far_sharpness: float = 7.5
+    far_sharpness: float = 8.5
     """What an answer elsewhere, or to a search, must have to be the loose target's..."""
-    again_sharpness: float = 6.5
+    again_sharpness: float = 7.5
     """... or else one in the frame after it, near to it."""
     hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
+    lately_frames: int = 15
+    """For so long after it was last seen clearly, a loose target that was lost is taken to be where it was: an answer
+    there needs no more than while it was followed."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0
@@ -64,6 +67,8 @@ class ZTransformSettings:
     """While it is seen loose, the signature is tried in every so many frames only: it rarely helps then."""
     search_every: int = 4
     """While a proven target looks as usual, though not firm, it is searched for in every so many frames only."""
+    lost_search_every: int = 4
+    """While a loose target is lost, it is searched for as a rigid one in every so many frames only."""
     hold_share: float = 0.8
     """Of it that must lie in the frame meanwhile: what leaves the frame is let go."""
     rigid: RigidSettings = field(default_factory=RigidSettings)
