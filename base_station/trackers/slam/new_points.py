@@ -9,14 +9,14 @@ come out far they do not. So the map shrinks with every turn in which few old po
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, match_epipolar
-from base_station.trackers.slam.se3 import camera_centers, inverse, transform
+from base_station.trackers.slam.se3 import camera_centers, inverse, rotation_angle_rad, transform
 from base_station.trackers.slam.triangulation import believable, fundamental_matrix, triangulate
 
 
@@ -28,20 +28,38 @@ class NewPointSettings:
     """That a keyframe is matched with."""
     least_baseline: float = 0.01
     """Between two keyframes, as a share of the median depth; below, depth is a guess."""
-    least_sigmas: float = 6.0
-    """The parallax that a point should have, in standard deviations of a keypoint; with less, depth is not told..."""
-    least_measured_sigmas: float = 3.0
-    """...and what it must have: below, it is as good as infinitely far."""
+    least_sigmas: float = 10.0
+    """The parallax that a point should have, in standard deviations of a keypoint: a tenth of the depth is uncertain
+    then..."""
+    least_measured_share: float = 0.6
+    """...and the share of it that it must have: below, it may be any distance off."""
+    starving: int = 120
+    """A keyframe that sees fewer points..."""
+    quick_rad_s: float = math.radians(60.0)
+    """...in a turn as quick as this is about to lose the map: what comes into view leaves it within some pictures..."""
+    starving_sigmas: float = 6.0
+    """...so for it less sure points are better than none."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
     """Triangulate what this keyframe's free features show together with neighbours'; the new rows."""
     usual_depth = median_depth(world, keyframe)
+    if _is_starving(world, keyframe, settings):
+        settings = replace(settings, least_sigmas=settings.starving_sigmas)
     made = [
         _between(world, keyframe, int(other), usual_depth, camera, settings)
         for other in world.neighbours(keyframe, settings.neighbours)
     ]
     return np.concatenate(made) if made else np.empty(0, np.int32)
+
+
+def _is_starving(world: Map, keyframe: int, settings: NewPointSettings) -> bool:
+    if np.count_nonzero(world.point_of[keyframe] >= 0) >= settings.starving:
+        return False
+    before = world.keyframes_alive(int(world.component[keyframe]))
+    before = before[before < keyframe][-1:]
+    turned_rad = [rotation_angle_rad(world.poses[keyframe, :3, :3] @ world.poses[row, :3, :3].T) for row in before]
+    return any(turned_rad >= settings.quick_rad_s * np.abs(world.time_s[keyframe] - world.time_s[before]))
 
 
 def median_depth(world: Map, keyframe: int) -> float:
@@ -75,14 +93,14 @@ def _between(
         return nothing
     uv = of_one.xy_px[rows].astype(np.float64), of_two.xy_px[matches[rows]].astype(np.float64)
     scales = world.scales[of_one.octave[rows]], world.scales[of_two.octave[matches[rows]]]
-    sigma_rad = np.maximum(*scales) / camera.fx
+    least_rad = settings.least_sigmas * np.maximum(*scales) / camera.fx
     points = triangulate(pose_one, pose_two, *uv, camera.intrinsics)
     good = believable(
         points, (pose_one, pose_two), uv, scales, camera.intrinsics,
-        least_parallax_rad=settings.least_measured_sigmas * sigma_rad, octave_scales=(1.0 / scales[0], 1.0 / scales[1]),
+        least_parallax_rad=least_rad * settings.least_measured_share, octave_scales=(1.0 / scales[0], 1.0 / scales[1]),
     )  # fmt: skip
     due_rad = expected_parallaxes(uv[0], inverse(two_from_one)[:3, 3], usual_depth, camera)
-    good &= due_rad > settings.least_sigmas * sigma_rad
+    good &= due_rad > least_rad
     made = world.add_points(points[good], of_one.descriptors[rows[good]], one)
     world.point_of[one, rows[good]] = made
     world.point_of[two, matches[rows[good]]] = made

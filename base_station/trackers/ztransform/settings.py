@@ -52,9 +52,6 @@ class ZTransformSettings:
     """... or else one in the frame after it, near to it."""
     hold_sharpness: float = 5.0
     """A loose target that looks less sharp than it must to be learned is followed down to this, nothing learned."""
-    lately_frames: int = 15
-    """For so long after it was last seen clearly, a loose target that was lost is taken to be where it was: an answer
-    there needs no more than while it was followed."""
     proven_frames: int = 60
     """A target that was seen firm so often is taken for rigid: what changes suddenly is then something before it."""
     reconsider_s: float = 1.0

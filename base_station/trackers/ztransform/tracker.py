@@ -59,7 +59,7 @@ class ZTransformTracker:
         self._motion = Motion()
         self._seen: tuple[Pyramid, np.ndarray] | None = None
         """The last frame with the target in it, and its lens."""
-        self._is_tracking, self._usual_confidence, self._frames_lost, self._frames_unclear = False, 0.0, 0, 0
+        self._is_tracking, self._usual_confidence, self._frames_lost = False, 0.0, 0
         self._candidate: np.ndarray | None = None
         """Where a loose target perhaps was in the frame before: to be confirmed."""
         self._warm_up()
@@ -86,14 +86,14 @@ class ZTransformTracker:
             self._recollection.start()
         self._motion.start(placement, frame.time_s)
         self._candidate = None
-        self._is_tracking, self._usual_confidence, self._frames_lost, self._frames_unclear = True, 1.0, 0, 0
+        self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s, self._frames = False, 0, frame.time_s, 0
 
     def expect(self, placement: np.ndarray, time_s: float) -> None:
         """The learned target is about here now, says who recognised it, and keeps its shape. See `kernels`."""
         self._motion.start(placement, time_s)
         self._candidate = None
-        self._is_tracking, self._usual_confidence, self._frames_lost, self._frames_unclear = True, 1.0, 0, 0
+        self._is_tracking, self._usual_confidence, self._frames_lost = True, 1.0, 0
         self._is_loose, self._frames_firm, self._firm_s = False, self._settings.proven_frames, time_s
 
     def update(self, frame: Frame) -> TrackerResult:
@@ -269,12 +269,10 @@ class ZTransformTracker:
             start[Y] += dy * side
         sighting = self._loose.look(pyramid, start)
         confirming = self._candidate is not None
-        lately = self._is_tracking or self._frames_unclear <= settings.lately_frames
-        near = (confirming or lately) and _is_near(sighting.placement, start, settings.near)
+        near = (confirming or self._is_tracking) and _is_near(sighting.placement, start, settings.near)
         least = settings.loose.least_sharpness
         needed = settings.far_sharpness if not near else settings.again_sharpness if confirming else least
         clear = sighting.sharpness >= needed
-        self._frames_unclear = 0 if clear else self._frames_unclear + 1
         self._candidate = sighting.placement if least <= sighting.sharpness < needed else None
         if not clear:
             held = self._is_loose and near and not confirming

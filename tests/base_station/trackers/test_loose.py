@@ -118,29 +118,3 @@ def test_a_target_that_bends_is_followed_where_the_signature_gives_up():
     assert len(errors) > 80
     assert np.median(errors) < 6
     assert errors[-1] < 15
-
-
-@pytest.mark.parametrize(("hidden", "state"), [(3, TrackingState.TRACKING), (25, TrackingState.LOST)])
-def test_seen_badly_where_it_was_it_is_taken_for_the_target_only_soon_after_a_loss(hidden, state):
-    """A patch that bends in its place until it is loose, then other pictures, then half of both."""
-    back, front, camera = picture(4, 5.0), picture(5, 2.5), PinholeCamera.with_fov(640, 480)
-    rows, columns = np.mgrid[-240:240, -320:320].astype(np.float32)
-    tracker = make_tracker("ztransform")
-    for n in range(61 + hidden):
-        across = columns + np.float32(0.4 * min(n, 60)) * np.sin(rows / 12)
-        bent = cv2.remap(front, across + 320, rows + 240, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        image = np.where((np.abs(columns) < 45) & (np.abs(rows) < 35), bent, back).astype(np.uint8)
-        if 60 <= n < 60 + hidden:
-            image = picture(200 + n)
-        elif n == 60 + hidden:
-            image = cv2.addWeighted(image, 0.45, picture(300), 0.55, 0)
-        made = Frame(image=image, number=n + 1, time_s=n / 30, camera=camera)
-        if n == 0:
-            tracker.learn(made, Box.around(320, 240, 90, 70))
-        result = tracker.update(made)
-        if n == 59:
-            assert result.state is TrackingState.TRACKING
-        elif n >= 60 + hidden - 1:
-            assert result.state is (TrackingState.LOST if n < 60 + hidden else state)
-    if result.box is not None:
-        assert result.box.center_px == pytest.approx((320, 240), abs=12)
