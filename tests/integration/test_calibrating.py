@@ -126,7 +126,7 @@ def test_usage(capsys, tmp_path: Path) -> None:
         (["--square-mm", "0"], 2, "1..1000 mm"),
         (["--images", "no/such"], 2, "no folder and no video no/such"),
         (["--images", str(pictures)], 1, "There are 0 views of the board"),
-        (["--output", "no/such/camera.yaml"], 2, "name a file in a folder that exists"),
+        (["--output", "no/such/camera.yaml"], 2, "there is no folder no/such"),
         (["board", str(tmp_path / "board.doc")], 2, ".pdf or .png"),
         (["board", "--square-mm", "90", str(tmp_path / "board.pdf")], 2, "does not fit on A4"),
     ):

@@ -170,7 +170,7 @@ def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys, damage, code, sai
     [
         (["--tracker", "ztransfrom"], "did you mean ztransform?"),
         (["--max-frames", "1"], "--max-frames must be at least 2"),
-        (["--json", "nowhere/score.json"], "--json: nowhere/score.json"),
+        (["--json", "nowhere/score.json"], "--json nowhere/score.json: there is no folder"),
     ],
 )
 def test_wrong_options_are_wrong_usage(tmp_path, capsys, options, said):

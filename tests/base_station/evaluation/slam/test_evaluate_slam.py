@@ -158,7 +158,7 @@ def test_a_run_without_a_pose_still_writes_everything(tmp_path, capsys):
         (["--tracker", "ztransform"], "'ztransform' gives no trajectory", 2),
         (["--tracker", "no/such.py:Slam"], "there is no file", 2),
         (["--max-frames", "1"], "--max-frames must be at least 2", 2),
-        (["--json", "nowhere/score.json"], "--json: nowhere/score.json", 2),
+        (["--json", "nowhere/score.json"], "--json nowhere/score.json: there is no folder", 2),
         (["--camera", "nowhere/camera.yaml"], "nowhere/camera.yaml cannot be read", 1),
     ],
 )
