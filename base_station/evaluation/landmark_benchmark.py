@@ -38,6 +38,8 @@ ZOOMS = {"zoom 0.45-0.7": (0.45, 0.7), "zoom 0.7-1.4": (0.7, 1.4), "zoom 1.4-2.2
 GAINS, OFFSETS, NOISE = (0.4, 1.6), (-40.0, 40.0), 3.0
 CAMERA = PinholeCamera.with_fov(VIEW_COLUMNS, VIEW_ROWS)
 PER_WORLD = 10
+MOST_UNKNOWN = 10
+"""Worlds in which nothing was learned."""
 MOST_CLIPPED = 0.1
 ROWS_PX = 2.0
 """How far a view may be off vertically: a robot that nods. Rows follow from the zoom, see `lookup`."""
@@ -318,9 +320,11 @@ def _worlds(run: LandmarkBenchmark) -> tuple[Sequence[World], Sequence[World]]:
         if len(worlds) < 2:
             raise StationError(f"{run.images} has one picture; at least two are needed.", usage=True)
         return worlds[::2], worlds[1::2]
-    count = math.ceil(run.landmarks / PER_WORLD)
+    known, unknown = math.ceil(run.landmarks / PER_WORLD), min(run.frames // 2, MOST_UNKNOWN)
     first = 1000 * run.seed
-    return [generated_world(first + n) for n in range(count)], [generated_world(first + 500 + n) for n in range(10)]
+    return [generated_world(first + n) for n in range(known)], [
+        generated_world(first + 500 + n) for n in range(unknown)
+    ]
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from tests.helpers import Operator, Programs, free_ports, write_pictures
 WITHIN = 0.005
 
 
-@pytest.mark.alone
 def test_the_simulated_camera_is_recovered(programs: Programs, port: int, tmp_path: Path) -> None:
     """From the live stream: fx, fy, cx, cy within 0.5 % of the camera that rendered it; OpenCV reads the file too."""
     agent = programs.agent(port, "--scenario", "calibration", "--rhythm", "lockstep")
@@ -26,7 +25,7 @@ def test_the_simulated_camera_is_recovered(programs: Programs, port: int, tmp_pa
     station = programs.start(
         sys.executable, "-m", "base_station", "calibrate", "--port", str(port), "--square-mm", "20", "-o", str(file)
     )
-    assert station.exit_code(60.0) == 0, station.stderr
+    assert station.exit_code(120.0) == 0, station.stderr
     assert "lost the robot" not in station.stderr and agent.alive
     assert "reprojection error" in station.stderr and "field of view" in station.stderr
     assert "careful" not in station.stderr

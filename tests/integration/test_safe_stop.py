@@ -16,7 +16,7 @@ import pytest
 from protocol import Request, encode
 from tests.helpers import Operator, Program, Programs, RawStation, TelemetryLog, connect, driving, standing, wait_until
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 Listen = Callable[[], TelemetryLog]
 SIM_BYTES = REPLAY_BYTES = 160 * 120

@@ -14,7 +14,7 @@ import pytest
 
 from tests.helpers import Program, Programs, TelemetryLog, driving
 
-pytestmark = pytest.mark.alone  # a key counts for a moment only
+pytestmark = pytest.mark.timed  # a key counts for a moment only
 
 
 class Terminal:

@@ -21,7 +21,7 @@ import pytest
 
 from tests.helpers import ROOT, Program, Programs, TelemetryLog, free_ports, numbered_picture, picture_number
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 GOLDEN = Path(__file__).parent / "golden"
 CYCLE_BYTES = (ROOT / "tests/protocol/golden/commands_listing_a2.bin").read_bytes()

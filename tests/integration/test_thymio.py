@@ -15,7 +15,7 @@ import thymiodirect
 from tests.helpers import Program, Programs, RawStation, TelemetryLog, wait_until
 from tests.playground import EDGE_CM, Playground, needs_aseba
 
-pytestmark = [needs_aseba, pytest.mark.alone]
+pytestmark = [needs_aseba, pytest.mark.timed]
 FRAME_BYTES = 160 * 120
 FULL_SPEED = 100
 """Wire units; with --speed-scale 4 these are 400 motor units, 13 cm/s."""

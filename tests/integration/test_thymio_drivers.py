@@ -29,7 +29,7 @@ from robot_agent.robots.thymio_serial import SerialThymioRobot
 from tests.aseba_node import AsebaNode
 from tests.helpers import Operator, Program, Programs, RawStation, TelemetryLog, free_ports, wait_until
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.timed
 
 FRAME_BYTES = 160 * 120
 MISSING = [name for name in ("asebamedulla", "dbus-daemon") if shutil.which(name) is None]
