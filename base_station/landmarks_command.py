@@ -18,8 +18,9 @@ from tyro.conf import arg
 
 from base_station.errors import StationError
 from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
-from base_station.link import Link, LinkSettings
+from base_station.link import Link
 from base_station.scale import Scale, scale_from_distance, scale_from_width
+from base_station.session import LinkSettings
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 from protocol import FRAME_PORT
 

@@ -16,18 +16,16 @@ import numpy as np
 import zmq
 
 from base_station.announcer import Announcer
-from base_station.calibration.camera_file import camera_of
 from base_station.errors import StationError
 from base_station.frame_clock import FrameClock
-from base_station.geometry import FlatPose, PinholeCamera
+from base_station.geometry import FlatPose
 from base_station.head import Angles, HeadAngles
 from base_station.odometry import WheelOdometry
-from base_station.rows import NO_ROWS, Rows, RowSwitch
-from base_station.sockets import Control, ControlLine, LinkLost, RawConnection, TelemetryFeed, UnknownHost
+from base_station.rows import Rows
+from base_station.session import LinkSettings, Session, open_known, open_plain
+from base_station.sockets import Control, ControlLine, LinkLost, TelemetryFeed, UnknownHost
 from base_station.types import Frame
 from protocol import (
-    FRAME_PORT,
-    MIN_UNIT,
     Command,
     FrameFormat,
     Hello,
@@ -37,7 +35,6 @@ from protocol import (
     ScenarioEvent,
     Telemetry,
 )
-from protocol.camera_file import CameraFile
 
 log = logging.getLogger(__name__)
 
@@ -46,44 +43,11 @@ BUSY_PATIENCE_S = 1.5
 """A robot just left by another station may take this long to notice."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinkSettings:
-    """Where the robot is, and what to assume when it cannot say (a peer with the raw ports only)."""
-
-    host: str = "127.0.0.1"
-    port: int = FRAME_PORT
-    width: int = 640
-    height: int = 480
-    signed_peer: bool = False
-    """A peer without hello reads signed bytes; else commands to it are clamped to 0..127."""
-    lockstep_wait_s: float = 2.0
-    """In lockstep, how long a frame waits for its telemetry."""
-    rows: bool = False
-    """Ask the robot for bands of rows (`Link.want_rows`), if it knows them."""
-    camera: CameraFile | None = None
-    """The robot's camera as it was calibrated; None: as the robot says, or a usual field of view."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Session:
-    """One connection, with all that its frames and commands need."""
-
-    raw: RawConnection
-    format: FrameFormat
-    """Of frames that are no band of it."""
-    camera: PinholeCamera
-    lowest_unit: int
-    rows: RowSwitch | None = None
-    """None: this robot sends whole frames only."""
-    stepped: bool = False
-    """Lockstep. Other rows are asked for before a frame is handed out, not after: see `_receive`."""
-
-
 @dataclass(frozen=True, eq=False)
 class _Arrival:
     """One frame as it came."""
 
-    session: _Session
+    session: Session
     number: int
     data: bytearray
     format: FrameFormat
@@ -112,7 +76,7 @@ class Link:
         self._control = Control(self._context, self.settings.host, self.settings.port + 3)
         self._announcer: Announcer | None = None
         self._feed: TelemetryFeed | None = None
-        self._session: _Session | None = None
+        self._session: Session | None = None
         self._clock = FrameClock()
         self._angles = HeadAngles()
         self._odometry = WheelOdometry()
@@ -262,7 +226,7 @@ class Link:
             if not self.ended:  # the last pictures of a recording are still wanted, those of a lost robot are not
                 self._offer_nothing()
 
-    def _receive(self, session: _Session) -> None:
+    def _receive(self, session: Session) -> None:
         """A frame, and between two frames the question for other rows.
 
         It must not keep a frame from the loop, except in lockstep: there the robot waits for the answer to this frame,
@@ -283,13 +247,16 @@ class Link:
             self._offer(arrival)
             session.rows.act(session.raw)
 
-    def _open(self) -> _Session:
+    def _open(self) -> Session:
         """Ask who is there, and connect accordingly. Raises LinkLost, StationError, ProtocolError."""
         hello = self._ask_hello()
         if hello is None:
             if self.hello is not None:
                 raise LinkLost("its control port does not answer yet")
-            return self._open_plain()
+            session = open_plain(self.settings, self._control)
+            self._clock.begin()
+            self.events = ()
+            return session
         self.hello = hello
         self.events = hello.scenario.events if hello.scenario is not None else ()
         if self._feed is None:
@@ -302,42 +269,7 @@ class Link:
             stepped_period_s=1.0 / hello.fps if stepped and live else None,
             wait_s=self.settings.lockstep_wait_s if stepped and live else 0.0,
         )
-        knows_rows = "rows" in hello.capabilities
-        if self.settings.rows and not knows_rows:
-            log.warning(NO_ROWS, f"{hello.agent} knows no bands of rows (an older agent)")
-        raw = RawConnection(self.settings.host, self.settings.port, hello.format)
-        return _Session(
-            raw,
-            hello.format,
-            self._camera(hello.format, hello),
-            MIN_UNIT,
-            RowSwitch(self.control_line(), hello.format, raw.address) if self.settings.rows and knows_rows else None,
-            stepped=stepped,
-        )
-
-    def _open_plain(self) -> _Session:
-        """Nobody answers hello: take the stream for what the settings say."""
-        assumed = FrameFormat(width=self.settings.width, height=self.settings.height)
-        raw = RawConnection(self.settings.host, self.settings.port, assumed)
-        if self._control.listens():  # an agent that was just starting
-            raw.close()
-            raise LinkLost("it is just starting")
-        self._clock.begin()
-        self.events = ()
-        log.warning("%s", assumptions(self.settings))
-        if self.settings.rows:
-            log.warning(NO_ROWS, "a peer with the raw ports only knows no bands of rows")
-        camera = self._camera(assumed)
-        return _Session(raw, assumed, camera, MIN_UNIT if self.settings.signed_peer else 0)
-
-    def _camera(self, frames: FrameFormat, hello: Hello | None = None) -> PinholeCamera:
-        """What took these frames. Raises StationError when the calibration is another camera's."""
-        if self.settings.camera is not None:
-            try:
-                return camera_of(self.settings.camera, frames)
-            except ProtocolError as error:
-                raise StationError(f"--camera: {error}.", usage=True) from error
-        return _camera_of(hello) if hello is not None else PinholeCamera.with_fov(frames.width, frames.height)
+        return open_known(self.settings, hello, self.control_line)
 
     def _ask_hello(self) -> Hello | None:
         deadline_s = time.monotonic() + BUSY_PATIENCE_S
@@ -383,29 +315,3 @@ class Link:
         if text != self.state:
             self.state = text
             log.info("%s", text)
-
-
-def assumptions(settings: LinkSettings) -> str:
-    """What is assumed of a peer without hello, in words."""
-    signs = "signed" if settings.signed_peer else "cut to 0..127 (--signed-peer if it reads them signed)"
-    return (
-        f"No hello on port {settings.port + 3}: a peer with the raw ports only. Assuming frames of "
-        f"{settings.width}x{settings.height} (--width, --height), arrival times, commands {signs}."
-    )
-
-
-def _camera_of(hello: Hello) -> PinholeCamera:
-    known = hello.intrinsics
-    if known is None:
-        return PinholeCamera.with_fov(
-            hello.width, hello.height, first_row=hello.first_row, full_height=hello.full_height
-        )
-    return PinholeCamera(
-        width=hello.width,
-        height=hello.height,
-        fx=known.fx,
-        fy=known.fy,
-        cx=known.cx,
-        cy=known.cy,
-        distortion=known.distortion if len(known.distortion) in (4, 5) else (),
-    )

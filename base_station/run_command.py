@@ -34,12 +34,13 @@ from base_station.geometry import PinholeCamera
 from base_station.kits import KitMaker
 from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
-from base_station.link import Link, LinkSettings
+from base_station.link import Link
 from base_station.orders import LANDMARK
 from base_station.output_files import check_output, write_bytes, write_json
 from base_station.publication.service import Publication
 from base_station.recording.session import recording_of
 from base_station.results import ResultsFile
+from base_station.session import LinkSettings
 from base_station.station import Station, StationSettings, Step
 from base_station.terminal import pressed_keys
 from base_station.trackers.base import Surveyor

@@ -23,8 +23,9 @@ from base_station.calibration.pictures import is_video, read_pictures
 from base_station.calibration.printing import write_board
 from base_station.calibration.solving import Calibration, calibrate
 from base_station.errors import StationError
-from base_station.link import Link, LinkSettings
+from base_station.link import Link
 from base_station.output_files import check_output
+from base_station.session import LinkSettings
 from base_station.terminal import pressed_keys
 from protocol import FRAME_PORT, STOP
 from protocol.camera_file import write_camera_file

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from base_station.kits import KitMaker
-from base_station.link import Link, LinkSettings
+from base_station.link import Link
 from base_station.orders import Order
+from base_station.session import LinkSettings
 from base_station.station import Station, StationSettings, Step
 from base_station.types import TrackingState
 from base_station.watcher import Watcher

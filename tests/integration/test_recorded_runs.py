@@ -25,13 +25,14 @@ from rich.console import Console
 from base_station import cli
 from base_station.kits import KitMaker
 from base_station.landmarks_command import DEFAULT_MEMORY
-from base_station.link import Link, LinkSettings
+from base_station.link import Link
 from base_station.orders import Order
 from base_station.recording.foxglove_file import NS_PER_S
 from base_station.recording.reader import Recording
 from base_station.recording.recorder import Recorder
 from base_station.recording.replay import ReplayedRobot
 from base_station.recording.replay_command import Replay, replay_run
+from base_station.session import LinkSettings
 from base_station.station import Station, StationSettings, Step
 from base_station.types import Box
 from tests.helpers import Program, Programs, numbered_picture, wait_until
