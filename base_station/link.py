@@ -191,10 +191,18 @@ class Link:
         except StationError as error:
             failure = error
         except Exception as error:
-            log.exception("the link failed")
-            failure = StationError(f"The link failed ({type(error).__name__}: {error}).")
+            self._fail(error)
+            return
+        self._end(failure)
+
+    def _fail(self, error: Exception) -> None:
+        """A thread of the link met what nobody foresaw: the loop is told, and the run ends."""
+        log.exception("the link failed")
+        self._end(StationError(f"The link failed ({type(error).__name__}: {error})."))
+
+    def _end(self, failure: StationError | None) -> None:
         with self._fresh:
-            self._failure = failure
+            self._failure = self._failure or failure
             self._fresh.notify_all()
 
     def _connect_and_receive(self) -> None:
@@ -260,7 +268,9 @@ class Link:
         self.hello = hello
         self.events = hello.scenario.events if hello.scenario is not None else ()
         if self._feed is None:
-            self._feed = TelemetryFeed(self._context, self.settings.host, self.settings.port + 2, self._take_telemetry)
+            self._feed = TelemetryFeed(
+                self._context, self.settings.host, self.settings.port + 2, self._take_telemetry, self._fail
+            )
         live = self._feed.wait_until_live(1.0)
         if not live:
             log.warning("no telemetry on port %d: frames carry arrival times", self.settings.port + 2)

@@ -208,12 +208,17 @@ def _exchange(asking: zmq.Socket[bytes], request: Request, timeout_s: float, whe
 
 
 class TelemetryFeed:
-    """Receives telemetry in a thread and hands each message to `take`."""
+    """Receives telemetry in a thread and hands each message to `take`; `failed` is told what ends the thread early."""
 
     def __init__(
-        self, context: zmq.Context[zmq.Socket[bytes]], host: str, port: int, take: Callable[[Telemetry], None]
+        self,
+        context: zmq.Context[zmq.Socket[bytes]],
+        host: str,
+        port: int,
+        take: Callable[[Telemetry], None],
+        failed: Callable[[Exception], None],
     ) -> None:
-        self._take = take
+        self._take, self._failed = take, failed
         self._first = threading.Event()
         self._closing = threading.Event()
         self._socket = context.socket(zmq.SUB)
@@ -237,7 +242,11 @@ class TelemetryFeed:
             except ProtocolError:
                 continue  # a later message may be whole; the frames do not depend on it
             self._first.set()
-            self._take(telemetry)
+            try:
+                self._take(telemetry)
+            except Exception as error:
+                self._failed(error)
+                break
         self._socket.close()
 
     def close(self) -> None:

@@ -26,6 +26,11 @@ SIGHTS = ("tracking", "lost", "idle")
 """What a station may see, for the robot's lights."""
 
 
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < math.inf:
+        raise ProtocolError(f"{name} must be positive, not {value}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Intrinsics:
     """Pinhole camera of the frame as sent: focal lengths and principal point in px of the frame sent (a band of rows
@@ -72,6 +77,10 @@ class RobotLimits:
     metres_per_unit_s: float = 0.000325
     wheel_base_m: float = 0.094
 
+    def __post_init__(self) -> None:
+        for name in ("max_units", "speed_scale", "metres_per_unit_s", "wheel_base_m"):
+            _check_positive(name, getattr(self, name))
+
 
 @dataclass(frozen=True, kw_only=True)
 class PanTiltLimits:
@@ -86,8 +95,7 @@ class PanTiltLimits:
         for name, (low, high) in (("pan_rad", self.pan_rad), ("tilt_rad", self.tilt_rad)):
             if not -math.pi <= low <= 0 <= high <= math.pi:
                 raise ProtocolError(f"{name}: {low}..{high} do not enclose 0 within half a turn to either side")
-        if not 0 < self.slew_rad_s < math.inf:
-            raise ProtocolError(f"slew_rad_s must be positive, not {self.slew_rad_s}")
+        _check_positive("slew_rad_s", self.slew_rad_s)
 
     def clamped(self, pan_rad: float, tilt_rad: float) -> tuple[float, float]:
         """The nearest angles within the limits."""
@@ -120,6 +128,9 @@ class Hello:
     scenario: Scenario | None = None
     pan_tilt: PanTiltLimits | None = None
     """Of the camera's pan-tilt; None when the camera is fixed."""
+
+    def __post_init__(self) -> None:
+        _check_positive("fps", self.fps)
 
     @property
     def format(self) -> FrameFormat:

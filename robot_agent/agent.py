@@ -103,6 +103,7 @@ class Agent:
                 allow=allow,
                 answer=lambda request: self._answers.to(request),
                 report=self._telemetry,
+                guard=self._guard,
             )
             opened.callback(self._outlet.close)
             self._frame_port = StationPort(

@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 ROUNDING_RAD = 1e-6
 """A station may ask for a limit itself, rounded."""
+LONGEST_EXPOSURE_US = 1_000_000
+"""Beyond it no robot drives by its pictures; well before, the supervisor takes the camera for hanging."""
 
 
 class Answers:
@@ -101,6 +103,10 @@ class Answers:
         set_exposure = getattr(self._camera, "set_exposure", None)
         if set_exposure is None:
             return Reply(ok=False, error="this camera's exposure cannot be set")
+        if not 0 <= exposure_us <= LONGEST_EXPOSURE_US:
+            return Reply(
+                ok=False, error=f"an exposure is 0 (automatic) to {LONGEST_EXPOSURE_US} us, not {exposure_us:g}"
+            )
         set_exposure(exposure_us)
         return Reply(ok=True)
 

@@ -25,7 +25,8 @@ ZAP_DOMAIN = b"zservo"
 
 
 class Outlet:
-    """Owns both sockets. `answer` makes the reply to a request, `report` the telemetry of this moment.
+    """Owns both sockets. `answer` makes the reply to a request, `report` the telemetry of this moment. `guard` runs the
+    thread's task: should that end by an error, the emergency stop would not be heard any more.
 
     Raises AgentError when a port cannot be opened.
     """
@@ -39,6 +40,7 @@ class Outlet:
         allow: AllowList,
         answer: Callable[[Request], Reply],
         report: Callable[[], Telemetry],
+        guard: Callable[[Callable[[], None]], None],
     ) -> None:
         self._answer, self._report = answer, report
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -47,7 +49,7 @@ class Outlet:
         self._publisher = self._open(zmq.PUB, host, telemetry_port)
         self._control = self._open(zmq.REP, host, control_port)
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="outlet", daemon=True)
+        self._thread = threading.Thread(target=guard, args=(self._serve,), name="outlet", daemon=True)
 
     def _open(self, kind: int, host: str, port: int) -> zmq.Socket[bytes]:
         opened = self._context.socket(kind)
@@ -97,6 +99,9 @@ class Outlet:
         except ProtocolError as error:
             log.warning("control port: %s", error)
             return Reply(ok=False, error=str(error))
+        except Exception as error:  # of a camera's or robot's own library: the next request may be the emergency stop
+            log.exception("control port: a request failed")
+            return Reply(ok=False, error=f"the agent could not do that ({type(error).__name__}: {error})")
 
     def close(self) -> None:
         self._closing.set()

@@ -24,6 +24,7 @@ from protocol import (
     ProtocolError,
     Reply,
     Request,
+    RobotLimits,
     Telemetry,
     decode_reply,
     decode_request,
@@ -74,10 +75,11 @@ def strategy(kind: Any) -> st.SearchStrategy:
         special = {
             (Request, "action"): st.sampled_from(ACTIONS),
             (Hello, "protocol"): st.just(1),
+            (RobotLimits, "max_units"): st.integers(1, 2**63),
         }
         fields = {}
         for field in dataclasses.fields(kind):
-            positive = field.name in ("fx", "fy")
+            positive = field.name in ("fx", "fy", "fps", "speed_scale", "metres_per_unit_s", "wheel_base_m")
             fields[field.name] = (
                 st.floats(0.001, 1e9) if positive else special.get((kind, field.name), strategy(hints[field.name]))
             )
@@ -212,6 +214,14 @@ def test_a_focal_length_must_be_positive():
         intrinsics = {"fx": fx, "fy": 500, "cx": 0, "cy": 0}
         with pytest.raises(ProtocolError, match="positive"):
             decode_reply(packed({"ok": True, "hello": LEAST_HELLO | {"intrinsics": intrinsics}}))
+
+
+@pytest.mark.parametrize("wrong", [0, -1, float("inf"), float("nan")])
+@pytest.mark.parametrize("name", ["fps", "max_units", "speed_scale", "metres_per_unit_s", "wheel_base_m"])
+def test_what_a_station_divides_by_must_be_positive(name, wrong):
+    hello = LEAST_HELLO | ({"fps": wrong} if name == "fps" else {"limits": {name: wrong}})
+    with pytest.raises(ProtocolError, match=name if wrong == 0 else None):
+        decode_reply(packed({"ok": True, "hello": hello}))
 
 
 def test_another_version_of_the_protocol_is_named_even_when_its_fields_have_changed():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import msgpack
 import pytest
@@ -24,10 +24,13 @@ class Ports:
     def __init__(self, context: zmq.Context, **options) -> None:
         self.requests: list[Request] = []
         self.published = 0
+        self.breaks: tuple[str, ...] = ()
+        """What raises: requests of these actions, "report" for the telemetry."""
+        self.failure: Exception | None = None
         with socket.create_server((HOST, 0)) as first, socket.create_server((HOST, 0)) as second:
             numbers = [place.getsockname()[1] for place in (first, second)]
         allow = options.pop("allow", AllowList())
-        self.outlet = Outlet(HOST, *numbers, allow=allow, answer=self.answer, report=self.report)
+        self.outlet = Outlet(HOST, *numbers, allow=allow, answer=self.answer, report=self.report, guard=self.guard)
         self.telemetry_port, self.control_port = numbers
         self.outlet.start()
         self.asking = context.socket(zmq.REQ)
@@ -38,9 +41,19 @@ class Ports:
 
     def answer(self, request: Request) -> Reply:
         self.requests.append(request)
+        if request.action in self.breaks:
+            raise RuntimeError("the camera's library failed")
         return Reply(ok=True)
 
+    def guard(self, task: Callable[[], None]) -> None:
+        try:
+            task()
+        except Exception as error:
+            self.failure = error
+
     def report(self) -> Telemetry:
+        if "report" in self.breaks:
+            raise RuntimeError("no report")
         self.published += 1
         return Telemetry(sequence=self.published, monotonic_s=0.0, wall_s=0.0)
 
@@ -68,6 +81,22 @@ def ports() -> Iterator[Ports]:
 def test_a_request_is_handed_on_and_answered(ports):
     assert ports.ask(encode(Request(action="stop", text="fire"))) == Reply(ok=True)
     assert ports.requests == [Request(action="stop", text="fire")]
+
+
+def test_after_a_request_that_fails_the_emergency_stop_is_still_heard(ports):
+    ports.breaks = ("exposure",)
+    refused = ports.ask(encode(Request(action="exposure", value=1000.0)))
+    assert not refused.ok and "RuntimeError: the camera's library failed" in refused.error
+    assert ports.ask(encode(Request(action="stop", text="fire"))) == Reply(ok=True)
+    assert ports.failure is None
+
+
+def test_the_end_of_its_thread_is_not_unseen(ports):
+    ports.breaks = ("report",)
+    deadline_s = time.monotonic() + 2.0
+    while ports.failure is None and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    assert str(ports.failure) == "no report"
 
 
 def test_garbage_is_answered_with_what_is_wrong_and_the_port_goes_on(ports):
@@ -133,5 +162,11 @@ def test_a_peer_that_is_not_allowed_gets_neither_answer_nor_telemetry():
 def test_a_port_in_use_is_named(ports):
     with pytest.raises(AgentError, match=f"Port {ports.control_port} .* --port"):
         Outlet(
-            HOST, ports.control_port, ports.control_port, allow=AllowList(), answer=ports.answer, report=ports.report
+            HOST,
+            ports.control_port,
+            ports.control_port,
+            allow=AllowList(),
+            answer=ports.answer,
+            report=ports.report,
+            guard=ports.guard,
         )
