@@ -134,6 +134,8 @@ class Feed:
         kind, body = message[:1], message[1:]
         if kind == STATE:
             self._state, self._state_s = from_bytes(State, body), time.monotonic()
+            if self.map is not None and self.map.tracker != self._state.tracker:
+                self.map = None  # when that tracker comes back, its map is another one
             self._sample(self._state)
         elif kind == MAP:
             self.map = from_bytes(Map, body)

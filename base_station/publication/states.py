@@ -195,10 +195,13 @@ def seen_of(result: TrackerResult) -> Seen:
     )
 
 
-def map_of(view: MapView) -> Map:
+def map_of(view: MapView | None, tracker: str = "") -> Map:
     """The map, thinned to what is published: evenly, and the same points each time while it does not grow."""
+    if view is None:
+        return Map(tracker=tracker)
     points, keyframes = view.points, view.keyframes
     return Map(
+        tracker=tracker,
         points=_thinned(points, MOST_POINTS).astype("<f4").tobytes(),
         keyframes=_thinned(keyframes, MOST_KEYFRAMES).astype("<f4").tobytes(),
         camera=tuple(map(float, view.world_from_cam.ravel())) if view.world_from_cam is not None else None,

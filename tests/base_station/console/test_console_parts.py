@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import socket
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,10 +21,10 @@ from base_station.console.launcher import ConsoleProcess, ConsoleSettings, addre
 from base_station.console.line import SILENT, Line
 from base_station.console.plots import CURVES, history_options, history_series
 from base_station.console.routes import LARGEST_ORDER_BYTES, read_order
-from base_station.console.scene import EXTENT, fitted, rows_of, to_scene
+from base_station.console.scene import EXTENT, Fit, fitted, kept_fit, pose_of, rows_of, text_of
 from base_station.errors import StationError
 from base_station.orders import Order
-from base_station.publication.schema import STATE, Addresses, Head, Seen, State, Wish, encode
+from base_station.publication.schema import MAP, STATE, Addresses, Head, Map, Seen, State, Wish, encode
 from protocol import Telemetry
 from tests.helpers import ROOT
 
@@ -228,15 +230,43 @@ def test_the_plots_lines_end_now_and_have_gaps():
     assert len(history_options()["grid"]) == len(CURVES) == len(history_series([]))
 
 
-def test_the_map_is_turned_upright_and_fitted():
-    assert to_scene(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, 3.0, -2.0]]
+def test_the_map_is_fitted_into_the_scene():
     points = np.random.default_rng(0).uniform(4.0, 6.0, (500, 3))
     points[0] = 1000.0
-    middle, scale = fitted(points, np.array([[5.0, 5.0, 0.0]]))
-    assert middle == pytest.approx([5, 5, 2.9], abs=0.15) and scale == pytest.approx(EXTENT / 2.9, rel=0.05)
+    fit = fitted(points, np.array([[5.0, 5.0, 0.0]]))
+    assert fit.middle == pytest.approx([5, 5, 2.9], abs=0.15) and fit.scale == pytest.approx(EXTENT / 2.9, rel=0.05)
     none = np.empty((0, 3))
-    assert fitted(none, none)[1] == 1.0 and fitted(np.ones((3, 3)), none)[1] == 1.0
-    assert rows_of(np.arange(7, dtype="<f4").tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert fitted(none, none).scale == 1.0 and fitted(np.ones((3, 3)), none).scale == 1.0
+
+
+def test_the_scene_stands_still_until_the_map_has_outgrown_it():
+    old = Fit((0.0, 0.0, 0.0), 1.0)
+    assert kept_fit(None, old) is old
+    assert kept_fit(old, Fit((0.1 * EXTENT, 0.0, 0.0), 1.1)) is old
+    for new in (Fit((0.0, 0.5 * EXTENT, 0.0), 1.0), Fit((0.0, 0.0, 0.0), 0.5), Fit((0.0, 0.0, 0.0), 2.0)):
+        assert kept_fit(old, new) is new
+
+
+def test_a_maps_numbers_are_read_and_what_is_none_is_left_out():
+    rows = np.arange(7, dtype="<f4")
+    assert rows_of(rows.tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
+    rows[4] = np.inf
+    assert rows_of(rows.tobytes()).tolist() == [[0, 1, 2]]
+    assert np.frombuffer(base64.b64decode(text_of(rows_of(rows.tobytes()))), "<f4").tolist() == [0, 1, 2]
+    assert pose_of(Map(camera=tuple(range(16)))) == pytest.approx(np.arange(16.0).reshape(4, 4))
+    for camera in (None, (1.0, 2.0), (float("nan"),) * 16):
+        assert pose_of(Map(camera=camera)) is None
+
+
+def test_a_map_is_that_of_the_tracker_that_steers(tmp_path):
+    feed, told = Feed(Addresses(tmp_path)), State(link="", connected=True, tracker="slam")
+    for message in (STATE + encode(told), MAP + encode(Map(tracker="slam", point_count=7))):
+        feed._take_state(message)
+    assert feed.map is not None and feed.map.point_count == 7
+    feed._take_state(STATE + encode(told))
+    assert feed.map is not None
+    feed._take_state(STATE + encode(replace(told, tracker="ztransform")))
+    assert feed.map is None, "when slam comes back, its map is a new one"
 
 
 def test_a_station_that_has_fallen_silent_is_not_shown_to_stand_well(tmp_path, monkeypatch):
