@@ -9,12 +9,14 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from base_station.console.feed import SILENT_S, Feed, Sample, packet, status_of
+from base_station.console.feed import LOOKED_AT_S, SILENT_S, Feed, Sample, packet, status_of
 from base_station.console.gate import Gate
 from base_station.console.gauges import BATTERY, DELAY, FACTS, LOOP, facts
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings, address_text, is_loopback, listen
@@ -267,6 +269,33 @@ def test_a_map_is_that_of_the_tracker_that_steers(tmp_path):
     assert feed.map is not None
     feed._take_state(STATE + encode(replace(told, tracker="ztransform")))
     assert feed.map is None, "when slam comes back, its map is a new one"
+
+
+@pytest.mark.parametrize(
+    ("asked", "width"),
+    [((), 640), ((0,), 640), ((320,), 320), ((100, 320), 320), ((200,), 200), ((320, 0), 640), ((9999,), 640)],
+)
+def test_a_picture_is_no_wider_than_the_widest_page_shows_it(tmp_path, asked, width):
+    feed, image = Feed(Addresses(tmp_path)), np.zeros((480, 640), np.uint8)
+    head = Head(number=1, width=640, height=480, first_row=0, rows=480, arrived_s=0.0, focal_px=1, center_px=1,
+                seen=Seen(state="LOST"))  # fmt: skip
+    for one in asked:
+        asyncio.run(feed.picture(0, 0.001, one))
+    feed._asked_s = time.monotonic()
+    feed._take_picture([encode(head), image.tobytes()])
+    packed = asyncio.run(feed.picture(0, 1.0))
+    (length,) = struct.unpack("<I", packed[:4])
+    jpeg = cv2.imdecode(np.frombuffer(packed[4 + length :], np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert jpeg.shape == (width * 3 // 4, width)
+
+
+def test_a_page_that_is_gone_makes_no_picture_wide(tmp_path, monkeypatch):
+    feed, clock = Feed(Addresses(tmp_path)), [100.0]
+    monkeypatch.setattr("base_station.console.feed.time.monotonic", lambda: clock[0])
+    for seconds, width, kept in ((0.0, 600, 600), (0.1, 300, 600), (LOOKED_AT_S + 0.1, 300, 300)):
+        clock[0] += seconds
+        feed._note_look(width)
+        assert feed._width == kept
 
 
 def test_a_station_that_has_fallen_silent_is_not_shown_to_stand_well(tmp_path, monkeypatch):
