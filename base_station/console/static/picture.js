@@ -148,4 +148,5 @@ function banner(text) {
   const box = document.getElementById("banner");
   box.hidden = !text;
   box.textContent = text;
+  document.documentElement.style.setProperty("--banner", `${box.offsetHeight}px`); // the page makes room for it
 }

@@ -229,7 +229,10 @@ def test_the_plots_lines_end_now_and_have_gaps():
     assert shift == [[-2.0, 0], [-1.0, 1], [0.0, 2]]
     assert [value for _, value in zoom] == [None] * 3
     assert bearing[0][1] == pytest.approx(5.73, abs=0.01)
-    assert len(history_options()["grid"]) == len(CURVES) == len(history_series([]))
+    options = history_options()
+    assert len(options["grid"]) == len(CURVES) == len(history_series([]))
+    assert options["yAxis"][2][":max"] == "(on) => Math.max(on.max, 1.0)", "a degree at the least"
+    assert ":min" not in options["yAxis"][3] and options["yAxis"][3]["min"] == 0
 
 
 def test_the_map_is_fitted_into_the_scene():
