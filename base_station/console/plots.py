@@ -118,8 +118,9 @@ def history_options() -> dict[str, Any]:
 
 
 def _ends(low: float, high: float) -> dict[str, str]:
-    """Of an axis, as functions of what is on it; NiceGUI takes names with a colon for JavaScript."""
-    return {":min": f"(on) => Math.min(on.min, {low})", ":max": f"(on) => Math.max(on.max, {high})"}
+    """Of an axis, by what is on it (null: round numbers, as ECharts finds them). NiceGUI takes names with a
+    colon for JavaScript."""
+    return {":min": f"(on) => (on.min < {low} ? null : {low})", ":max": f"(on) => (on.max > {high} ? null : {high})"}
 
 
 def history_series(samples: list[Sample]) -> list[dict[str, Any]]:

@@ -231,7 +231,7 @@ def test_the_plots_lines_end_now_and_have_gaps():
     assert bearing[0][1] == pytest.approx(5.73, abs=0.01)
     options = history_options()
     assert len(options["grid"]) == len(CURVES) == len(history_series([]))
-    assert options["yAxis"][2][":max"] == "(on) => Math.max(on.max, 1.0)", "a degree at the least"
+    assert options["yAxis"][2][":max"] == "(on) => (on.max > 1.0 ? null : 1.0)", "a degree at the least"
     assert ":min" not in options["yAxis"][3] and options["yAxis"][3]["min"] == 0
 
 
