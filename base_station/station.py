@@ -131,6 +131,11 @@ class Station:
         """The one that steers now."""
         return self._watcher.tracker
 
+    @property
+    def names(self) -> tuple[str, str]:
+        """Of the tracker and the behaviour, now."""
+        return self._watcher.name, self._driver.behaviour
+
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
         self._stopping = True

@@ -58,6 +58,9 @@ class Choices:
     trackers: tuple[str, ...] = ()
     behaviours: tuple[str, ...] = ()
     landmarks: tuple[str, ...] = ()
+    tracker: str = ""
+    behaviour: str = ""
+    """By which the run begins: what is told until the first frame has come."""
 
 
 class StateMaker:
@@ -159,9 +162,9 @@ class StateMaker:
             shadow=seen_of(step.shadow) if step is not None and step.shadow is not None else None,
             command=(step.command.left, step.command.right) if step is not None else (0, 0),
             pan_rad=step.pan_rad if step is not None else None,
-            tracker=last.tracker if last is not None else "",
+            tracker=last.tracker if last is not None else choices.tracker,
             shadow_tracker=last.shadow_tracker if last is not None else None,
-            behaviour=last.behaviour if last is not None else "",
+            behaviour=last.behaviour if last is not None else choices.behaviour,
             outcome=self._outcome(),
             trackers=choices.trackers,
             behaviours=choices.behaviours,

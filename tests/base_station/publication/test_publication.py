@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +109,8 @@ def test_a_state_comes_back_as_it_went():
 
 def test_without_frames_nothing_old_is_told():
     robot = Robot(connected=False, telemetry=Telemetry(sequence=1, monotonic_s=2.0, wall_s=3.0))
-    maker = StateMaker(robot, lambda: CHOICES)
+    maker = StateMaker(robot, lambda: replace(CHOICES, tracker="klt", behaviour="idle"))
+    assert (maker.state(None).tracker, maker.state(None).behaviour) == ("klt", "idle"), "by which it will begin"
     maker.note_step(step_of())
     maker.note_wait()
     assert maker.state(None).seen is not None, "a frame may be a moment late"
