@@ -65,6 +65,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # of a file that is no video we speak ourselves
     arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
     try:
         command = _read(arguments)

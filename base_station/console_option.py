@@ -86,15 +86,17 @@ def open_console(
     tracker: Callable[[], Tracker | None] = lambda: None,
     outcome: Callable[[], str] = lambda: "",
     own_trackers: tuple[str, ...] = (),
+    begins: tuple[str, str] = ("", ""),
     say: Callable[[str], None] = log.info,
 ) -> Publication:
     """Until the stack ends; `say` gets the address. Call the publication's `step` and `wait` from the loop.
 
-    `orders`: None for a replay, which takes none. Raises StationError when there can be no console.
+    `orders`: None for a replay, which takes none. `begins`: tracker and behaviour until the first frame. Raises
+    StationError when there can be no console.
     """
     publication, _ = _opened(
         stack, settings, robot, orders=orders, shelf=shelf, tracker=tracker, outcome=outcome, own_trackers=own_trackers,
-        say=say,
+        begins=begins, say=say,
     )  # fmt: skip
     return publication
 
@@ -110,11 +112,18 @@ def _opened(
     tracker: Callable[[], Tracker | None] = lambda: None,
     outcome: Callable[[], str] = lambda: "",
     own_trackers: tuple[str, ...] = (),
+    begins: tuple[str, str] = ("", ""),
 ) -> tuple[Publication, ConsoleProcess]:
     trackers = tuple(dict.fromkeys((*own_trackers, *tracker_names())))
 
     def choices() -> Choices:
-        return Choices(trackers=trackers, behaviours=tuple(BEHAVIOURS), landmarks=shelf.names if shelf else ())
+        return Choices(
+            trackers=trackers,
+            behaviours=tuple(BEHAVIOURS),
+            landmarks=shelf.names if shelf else (),
+            tracker=begins[0],
+            behaviour=begins[1],
+        )
 
     publication = Publication(
         robot,

@@ -43,8 +43,9 @@ class LandmarkShelf:
             except StationError as error:
                 self._names, self.problem = (), str(error)
 
-    def remember(self, name: str, frame: Frame, target: Box | None) -> None:
-        """Keep what is in the box, or with None the whole view. Takes a moment. Raises ValueError, StationError."""
+    def remember(self, name: str, frame: Frame, target: Box | None) -> bool:
+        """Keep what is in the box, or with None the whole view; whether another of this name was there and is replaced.
+        Takes a moment. Raises ValueError, StationError."""
         from base_station.trackers.ztransform.landmark_file import write_landmarks
         from base_station.trackers.ztransform.lookup import LandmarkMemory
 
@@ -54,9 +55,11 @@ class LandmarkShelf:
             memory = LandmarkMemory()
             for landmark in self._read():
                 memory.add(landmark)
+            replaced = name in {landmark.name for landmark in memory.landmarks}
             memory.learn(name, frame, target)
             write_landmarks(self._memory, memory.landmarks)
         self.refresh()
+        return replaced
 
     def forget(self, name: str) -> None:
         """Raises ValueError when there is none of this name, StationError."""

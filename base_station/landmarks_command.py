@@ -162,7 +162,8 @@ def _learn(action: Learn) -> None:
     except ValueError as error:
         raise StationError(f"Cannot learn {action.name!r}: {error}.") from error
     write_landmarks(action.memory, memory.landmarks)
-    print(f"learned {action.name!r} ({_what(box)}); {action.memory} holds {_count(len(memory))}")
+    how = "learned anew, and replaced," if action.name in {landmark.name for landmark in kept} else "learned"
+    print(f"{how} {action.name!r} ({_what(box)}); {action.memory} holds {_count(len(memory))}")
 
 
 def _forget(action: Forget) -> None:

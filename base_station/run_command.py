@@ -257,6 +257,7 @@ def _open_console(
         tracker=lambda: station.tracker,
         outcome=lambda: station.outcome.text if station.outcome is not None else "",
         own_trackers=tuple(name for name in (run.tracker, run.shadow) if name is not None),
+        begins=station.names,
         say=say,
     )
 

@@ -94,20 +94,20 @@ class Station:
         shadow: Kit | None = None,
         keys: queue.SimpleQueue[str] | None = None,
         make: Callable[[str], Kit] | None = None,
-        remember: Callable[[str, Frame, Box | None], None] | None = None,
+        remember: Callable[[str, Frame, Box | None], bool] | None = None,
         on_step: Callable[[Step], None] = lambda step: None,
         on_wait: Callable[[], None] = lambda: None,
     ) -> None:
         self._link = link
         self.settings = settings or StationSettings()
-        self._workshop: Workshop[Kit | None] = Workshop()
+        self._workshop: Workshop[Kit | str | None] = Workshop()
         self._watcher = Watcher(kit, shadow=shadow, target_rows=self.settings.target_rows, retire=self._retire)
         self._keys = keys or queue.SimpleQueue()
         self._driver = Driver(link, self.settings.behaviour, self._keys, pan=self.settings.pan)
         self._make, self._remember = make, remember
         self._on_step, self._on_wait = on_step, on_wait
         self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
-        self._works: list[tuple[Order, Future[Kit | None]]] = []
+        self._works: list[tuple[Order, Future[Kit | str | None]]] = []
         self._stopping = False
         self._first_order: Order | None = Order.learn(self.settings.target)
         """To learn what the settings say, or the simulated operator; not given yet."""
@@ -130,6 +130,11 @@ class Station:
     def tracker(self) -> Tracker:
         """The one that steers now."""
         return self._watcher.tracker
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Of the tracker and the behaviour, now."""
+        return self._watcher.name, self._driver.behaviour
 
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
@@ -185,9 +190,9 @@ class Station:
         self._watcher.close()
         self._workshop.close(CLOSING_S)
 
-    def _unwanted(self, work: Future[Kit | None]) -> None:
+    def _unwanted(self, work: Future[Kit | str | None]) -> None:
         """Made, but too late."""
-        if work.exception() is None and (kit := work.result()) is not None:
+        if work.exception() is None and isinstance(kit := work.result(), Kit):
             _close(kit.tracker)
 
     def _wait(self, without_frames_s: float) -> None:
@@ -296,7 +301,7 @@ class Station:
         self._notice(f"{order.name} is being made", logging.INFO)
         return False
 
-    def _work(self, order: Order, task: Callable[[], Kit | None]) -> None:
+    def _work(self, order: Order, task: Callable[[], Kit | str]) -> None:
         self._works.append((order, self._workshop.submit(task)))
 
     def _made(self) -> list[Order]:
@@ -305,25 +310,28 @@ class Station:
         self._works = [(order, work) for order, work in self._works if not work.done()]
         return [order for order, work in ready if self._take_up(order, work)]
 
-    def _take_up(self, order: Order, work: Future[Kit | None]) -> bool:
+    def _take_up(self, order: Order, work: Future[Kit | str | None]) -> bool:
         try:
-            kit = work.result()
+            made = work.result()
         except Exception as error:  # a tracker of the user's own may fail in any way
             self._notice(f"cannot {order.kind} {order.name}: {error}")
             return False
-        if kit is None:
-            self._notice(f"{order.name} is remembered as it looks now", logging.INFO)
+        if isinstance(made, str):
+            self._notice(made, logging.INFO)
             return False
+        assert made is not None, "only a tracker's end gives nothing, and nothing waits for that"
         if order.kind == "tracker":
-            self._watcher.exchange(kit)
+            self._watcher.exchange(made)
         else:
-            self._watcher.exchange_shadow(kit)
+            self._watcher.exchange_shadow(made)
         return True
 
-    def _keep(self, name: str, frame: Frame, target: Box | None) -> None:
+    def _keep(self, name: str, frame: Frame, target: Box | None) -> str:
+        """What came of it, in words."""
         if self._remember is None:
             raise ValueError("this station keeps no landmarks")
-        self._remember(name, frame, target)
+        told = "; the one of this name before is replaced" if self._remember(name, frame, target) else ""
+        return f"{name} is remembered as it looks now{told}"
 
     def _retire(self, tracker: Tracker) -> None:
         self._workshop.submit(lambda: _close(tracker))

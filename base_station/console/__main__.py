@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import signal
 import socket
@@ -41,11 +40,12 @@ def main() -> int:
             access_log=False,
             timeout_graceful_shutdown=1,
             server_header=False,
+            ws_per_message_deflate=False,  # pictures are packed as they are
         )
     )
     feed.start()
     threading.Thread(target=_end_with_station, args=(feed, server), name="station", daemon=True).start()
-    asyncio.run(server.serve([socket.socket(fileno=told.descriptor)]))
+    server.run(sockets=[socket.socket(fileno=told.descriptor)])
     feed.close()
     lines.close()
     return 0

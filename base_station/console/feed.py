@@ -1,6 +1,6 @@
 """The console's side of what a station publishes: a thread that keeps the newest of all, and the last minute.
 
-Pictures become JPEG here, once for all pages, and only while somebody looks.
+Pictures become JPEG here, once for all pages, as wide as the widest shows them, and only while somebody looks.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from protocol.records import from_bytes
 JPEG_QUALITY = 82
 LOOKED_AT_S = 2.0
 """After the last page asked for a picture, so long more are encoded."""
+WHOLE = 1 << 20
+"""Wider than any picture."""
 SILENT_S = 1.5
 """A station tells its state ten times a second."""
 HISTORY_S, HISTORY_PERIOD_S = 60.0, 0.2
@@ -63,6 +65,8 @@ class Feed:
         self._addresses, self._first_look = addresses, first_look
         self._packet: tuple[int, bytes] = (0, b"")
         self._asked_s = float("-inf")
+        self._width, self._width_s = 0, float("-inf")
+        """The largest that a page asked for, and when that was."""
         self._sampled_s = self._pictured_s = float("-inf")
         self._waiting: set[asyncio.Future[None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -90,12 +94,12 @@ class Feed:
         link = f"no news from the station for {silent_s:.0f} s"
         return replace(self._state, link=link, connected=False, telemetry=None, seen=None, shadow=None)
 
-    async def picture(self, after: int, patience_s: float) -> bytes:
+    async def picture(self, after: int, patience_s: float, width: int = 0) -> bytes:
         """A packet (see `packet`) with a picture numbered above `after`, as soon as there is one; without a picture
-        when none came in time."""
+        when none came in time. `width`: how wide it will be shown, in px; 0: as wide as it is."""
         if self._asked_s == float("-inf"):
             self._first_look()
-        self._asked_s = time.monotonic()
+        self._note_look(width or WHOLE)
         self._loop = asyncio.get_running_loop()
         if self._packet[0] <= after and not self.ended:
             woken = self._loop.create_future()
@@ -106,6 +110,11 @@ class Feed:
         number, packed = self._packet
         fresh = number > after and time.monotonic() - self._pictured_s < LOOKED_AT_S
         return packed if fresh else packet(None, self.status(), b"")
+
+    def _note_look(self, width: int) -> None:
+        now_s = self._asked_s = time.monotonic()
+        if width >= self._width or now_s - self._width_s > LOOKED_AT_S:
+            self._width, self._width_s = width, now_s
 
     def status(self) -> dict[str, Any]:
         """What every page must know at once, whether or not there is a picture."""
@@ -134,6 +143,8 @@ class Feed:
         kind, body = message[:1], message[1:]
         if kind == STATE:
             self._state, self._state_s = from_bytes(State, body), time.monotonic()
+            if self.map is not None and self.map.tracker != self._state.tracker:
+                self.map = None  # when that tracker comes back, its map is another one
             self._sample(self._state)
         elif kind == MAP:
             self.map = from_bytes(Map, body)
@@ -162,7 +173,7 @@ class Feed:
         if head.rows <= 0 or head.width <= 0 or head.rows * head.width != len(parts[1]):
             return
         image = np.frombuffer(parts[1], np.uint8).reshape(head.rows, head.width)
-        good, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        good, coded = cv2.imencode(".jpg", reduced(image, self._width), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if good:
             self._packet = head.number, packet(head, self.status(), coded.tobytes())
             self._pictured_s = time.monotonic()
@@ -178,6 +189,15 @@ class Feed:
             if not woken.done():
                 woken.set_result(None)
         self._waiting.clear()
+
+
+def reduced(image: np.ndarray, width: int) -> np.ndarray:
+    """No wider than it is shown: what the page would shrink is not encoded, sent and decoded first."""
+    rows, columns = image.shape
+    if not 0 < width < columns:
+        return image
+    how = cv2.INTER_LINEAR if 2 * width > columns else cv2.INTER_AREA  # the first is quick, and good enough so far
+    return cv2.resize(image, (width, max(round(rows * width / columns), 1)), interpolation=how)
 
 
 def packet(head: Head | None, status: dict[str, Any], jpeg: bytes) -> bytes:

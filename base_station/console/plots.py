@@ -18,6 +18,8 @@ CURVES = (
     ("bearing", "°", "#2fa968"),
     ("confidence", "", "#9a6bd8"),
 )
+LEAST = {"shift": (-5.0, 5.0), "zoom": (0.95, 1.05), "bearing": (-1.0, 1.0)}
+"""What a plot shows at the least: where nothing moves, its lines are flat, and their noise is not made large."""
 GRAY, LINE = "#7d8894", "rgba(125, 136, 148, 0.25)"
 LABEL = {"color": GRAY, "fontSize": 11}
 ENDS = {**LABEL, "alignMinLabel": "left", "alignMaxLabel": "right"}
@@ -101,7 +103,7 @@ def history_options() -> dict[str, Any]:
         "yAxis": [
             {
                 **bare, "gridIndex": i, "type": "value", "scale": True, "splitNumber": 2,
-                **(FROM_0_TO_1 if name == "confidence" else {}),
+                **(FROM_0_TO_1 if name == "confidence" else _ends(*LEAST[name])),
             }
             for i, (name, _, _) in enumerate(CURVES)
         ],
@@ -113,6 +115,12 @@ def history_options() -> dict[str, Any]:
             for i, (_, _, colour) in enumerate(CURVES)
         ],
     }  # fmt: skip
+
+
+def _ends(low: float, high: float) -> dict[str, str]:
+    """Of an axis, by what is on it (null: round numbers, as ECharts finds them). NiceGUI takes names with a
+    colon for JavaScript."""
+    return {":min": f"(on) => (on.min < {low} ? null : {low})", ":max": f"(on) => (on.max > {high} ? null : {high})"}
 
 
 def history_series(samples: list[Sample]) -> list[dict[str, Any]]:

@@ -38,6 +38,15 @@ def fastapi() -> ModuleType:
     return fastapi
 
 
+def starlette() -> ModuleType:
+    """What FastAPI is made of. Raises StationError."""
+    nicegui()
+    import starlette
+    import starlette.routing
+
+    return starlette
+
+
 def uvicorn() -> ModuleType:
     """The server; it comes with NiceGUI. Raises StationError."""
     nicegui()

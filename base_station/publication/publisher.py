@@ -52,7 +52,7 @@ class Publisher:
         if self._state_is_due():  # a signature takes as long as tracking does: it is not asked for with each picture
             self._signature = self._signature_of(tracker)
             self._publish_state()
-        self._publish_map(tracker)
+        self._publish_map(tracker, step.tracker)
 
     def wait(self) -> None:
         """No frame came."""
@@ -86,14 +86,13 @@ class Publisher:
     def _signature_of(self, tracker: Tracker | None) -> SignatureView | None:
         return self._ask(tracker, SignatureView, tracker.show_signature) if isinstance(tracker, Signs) else None
 
-    def _publish_map(self, tracker: Tracker | None) -> None:
+    def _publish_map(self, tracker: Tracker | None, name: str) -> None:
         now_s = time.monotonic()
         if now_s - self._map_s < MAP_PERIOD_S or not isinstance(tracker, Maps):
             return
         self._map_s = now_s
         view = self._ask(tracker, MapView, tracker.show_map)
-        if view is not None:
-            self._send(MAP + encode(map_of(view)))
+        self._send(MAP + encode(map_of(view, name)))
 
     def _ask(self, tracker: Tracker, kind: type[T], show: Callable[[], object]) -> T | None:
         """What the tracker shows. A user's own may fail here, or mean something else by the name: it is not asked

@@ -150,8 +150,10 @@ class State:
 @dataclass(frozen=True, kw_only=True)
 class Map:
     """A tracker's map, in its own unit: axes as the camera's in its first picture (x right, y down, z ahead). float32,
-    little endian."""
+    little endian. Empty as long as there is none."""
 
+    tracker: str = ""
+    """Whose, as in `State`."""
     points: bytes = b""
     """x, y, z of each."""
     keyframes: bytes = b""

@@ -58,6 +58,9 @@ class Choices:
     trackers: tuple[str, ...] = ()
     behaviours: tuple[str, ...] = ()
     landmarks: tuple[str, ...] = ()
+    tracker: str = ""
+    behaviour: str = ""
+    """By which the run begins: what is told until the first frame has come."""
 
 
 class StateMaker:
@@ -159,9 +162,9 @@ class StateMaker:
             shadow=seen_of(step.shadow) if step is not None and step.shadow is not None else None,
             command=(step.command.left, step.command.right) if step is not None else (0, 0),
             pan_rad=step.pan_rad if step is not None else None,
-            tracker=last.tracker if last is not None else "",
+            tracker=last.tracker if last is not None else choices.tracker,
             shadow_tracker=last.shadow_tracker if last is not None else None,
-            behaviour=last.behaviour if last is not None else "",
+            behaviour=last.behaviour if last is not None else choices.behaviour,
             outcome=self._outcome(),
             trackers=choices.trackers,
             behaviours=choices.behaviours,
@@ -195,10 +198,13 @@ def seen_of(result: TrackerResult) -> Seen:
     )
 
 
-def map_of(view: MapView) -> Map:
+def map_of(view: MapView | None, tracker: str = "") -> Map:
     """The map, thinned to what is published: evenly, and the same points each time while it does not grow."""
+    if view is None:
+        return Map(tracker=tracker)
     points, keyframes = view.points, view.keyframes
     return Map(
+        tracker=tracker,
         points=_thinned(points, MOST_POINTS).astype("<f4").tobytes(),
         keyframes=_thinned(keyframes, MOST_KEYFRAMES).astype("<f4").tobytes(),
         camera=tuple(map(float, view.world_from_cam.ravel())) if view.world_from_cam is not None else None,

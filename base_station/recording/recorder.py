@@ -210,8 +210,8 @@ class Recorder:
             self._queue.clear()
             self._changed.notify_all()
         log.error(
-            "The recording ends here: %s cannot be written any more (%s). The robot goes on; %d frames are recorded.",
-            self.path, reason, self.frames,
+            "The recording ends here: %s cannot be written any more (%s). The %s goes on; %d frames are recorded.",
+            self.path, reason, "replay" if self._patient else "robot", self.frames,
         )  # fmt: skip
         self._file.close()
 

@@ -21,8 +21,9 @@ def test_what_is_remembered_is_there_until_it_is_forgotten(tmp_path, frame):
     shelf = LandmarkShelf(tmp_path / "landmarks.npz")
     shelf.refresh()
     assert shelf.names == ()
-    shelf.remember("door", frame, Box(40, 30, 60, 50))
-    shelf.remember("hall", frame, None)
+    assert not shelf.remember("door", frame, Box(40, 30, 60, 50))
+    assert not shelf.remember("hall", frame, None)
+    assert shelf.remember("door", frame, Box(40, 30, 60, 50)), "replaced without a word"
     assert shelf.names == ("door", "hall")
     other = LandmarkShelf(tmp_path / "landmarks.npz")
     other.refresh()

@@ -408,6 +408,8 @@ def test_nothing_was_asked_of_any_other_machine(stage: Stage) -> None:
 def test_the_console_ends_with_the_station_and_the_page_says_so(stage: Stage) -> None:
     stage.station.signal(signal.SIGTERM)
     stage.page.get_by_text(re.compile("station has ended|cannot be reached")).first.wait_for(timeout=10_000)
+    (banner,), (top,) = boxes(stage.page, "#banner"), boxes(stage.page, ".top")
+    assert banner["bottom"] <= top["top"], "the banner covers the robot's name and state"
     assert stage.station.exit_code() == 0
     wait_until(lambda: not stage.station.orphans(), 5.0, "the console's end")
     stage.page.locator("#stop").click()

@@ -11,7 +11,7 @@ from base_station.link import Link
 from base_station.orders import Order
 from base_station.session import LinkSettings
 from base_station.station import Station, StationSettings, Step
-from base_station.types import TrackingState
+from base_station.types import Box, Frame, TrackingState
 from base_station.watcher import Watcher
 from protocol import STOP
 from tests.helpers import Programs, free_ports
@@ -43,6 +43,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> list[Step]:
         for order in ORDERS.get(step.frame.number, []):
             station.post(order)
 
+    def remember(name: str, frame: Frame, box: Box | None) -> bool:
+        remembered.append(f"{name} {box}")
+        return True
+
     port = free_ports()
     try:
         programs.sim(port, "--rhythm", "lockstep", "--scenario", "leader", "--seed", "3", "--size", "320x240")
@@ -52,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> list[Step]:
             make("ztransform"),
             StationSettings(max_frames=FRAMES),
             make=make,
-            remember=lambda name, frame, box: remembered.append(f"{name} {box}"),
+            remember=remember,
             on_step=on_step,
         )
         with link:
@@ -108,7 +112,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing(run: list[Step]) -> Non
     assert any("no-such" in notice for notice in said)
     assert any("landmark:door" in notice for notice in said)
     assert not any(order.name in ("dance", "no-such", "landmark:door") for step in run for order in step.orders)
-    assert "door is remembered as it looks now" in said
+    assert "door is remembered as it looks now; the one of this name before is replaced" in said
 
 
 def test_frames_and_orders_give_the_same_results_again(run: list[Step], tmp_path: Path) -> None:

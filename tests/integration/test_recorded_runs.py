@@ -323,6 +323,13 @@ def test_a_file_that_may_not_grow_ends_the_recording_and_not_the_run(programs: P
     check_full(station, run)
 
 
+def test_a_video_that_is_none_is_told_in_one_line(programs: Programs, tmp_path: Path):
+    (tmp_path / "empty.mp4").touch()
+    replay = programs.start(sys.executable, "-m", "base_station", "replay", str(tmp_path / "empty.mp4"))
+    assert replay.exit_code(40) == 2
+    assert replay.stderr.strip().endswith("is no video that can be read.") and "moov" not in replay.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -127,6 +127,8 @@ def test_what_a_person_does_wrong_with_landmarks(programs: Programs, port: int, 
     cv2.imwrite(str(blank), np.full((480, 640), 99, np.uint8))
     broken.write_bytes(b"no landmarks")
     landmarks(programs, "learn", "door", "--memory", memory, "--image", picture)
+    said = landmarks(programs, "learn", "door", "--memory", memory, "--image", picture)
+    assert "replaced, 'door'" in said.stdout and "holds 1 landmark" in said.stdout
     box = ("--target", "250,180,140,120")
 
     def run(*options: str | Path) -> tuple[str, ...]:

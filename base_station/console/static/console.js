@@ -37,4 +37,6 @@ whenThere("rate", (label) =>
     if (label.textContent !== text) label.textContent = text;
   }, 1000),
 );
+// A scene takes its size when the window's changes; but it is hidden at times, and its place changes by itself.
+whenThere("map", (place) => new ResizeObserver(() => window.dispatchEvent(new Event("resize"))).observe(place));
 window.zservo = { picture: picture.shown, stops: emergency.timings, order: orderOrSay, toast };

@@ -33,8 +33,20 @@ function say(context, ratio, title, text) {
   context.fillText(title, width / 2, height / 2 - 6 * ratio);
   context.font = `${13 * ratio}px system-ui, sans-serif`;
   context.fillStyle = "#8b949e";
-  context.fillText(text, width / 2, height / 2 + 16 * ratio, width - 20 * ratio);
+  lines(context, text, width - 24 * ratio).forEach((line, i) => {
+    context.fillText(line, width / 2, height / 2 + (16 + 18 * i) * ratio, width - 24 * ratio);
+  });
   context.textAlign = "left";
+}
+
+function lines(context, text, width) {
+  const found = [];
+  for (const word of text.split(" ")) {
+    const longer = found.length ? `${found.at(-1)} ${word}` : word;
+    if (found.length && context.measureText(longer).width <= width) found[found.length - 1] = longer;
+    else found.push(word);
+  }
+  return found;
 }
 
 // All of it, or the rows that the robot sends.

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import socket
 import struct
 import subprocess
 import sys
+import time
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from base_station.console.feed import SILENT_S, Feed, Sample, packet, status_of
+from base_station.console.feed import LOOKED_AT_S, SILENT_S, Feed, Sample, packet, status_of
 from base_station.console.gate import Gate
 from base_station.console.gauges import BATTERY, DELAY, FACTS, LOOP, facts
 from base_station.console.launcher import ConsoleProcess, ConsoleSettings, address_text, is_loopback, listen
 from base_station.console.line import SILENT, Line
 from base_station.console.plots import CURVES, history_options, history_series
 from base_station.console.routes import LARGEST_ORDER_BYTES, read_order
-from base_station.console.scene import EXTENT, fitted, rows_of, to_scene
+from base_station.console.scene import EXTENT, Fit, fitted, kept_fit, pose_of, rows_of, text_of
 from base_station.errors import StationError
 from base_station.orders import Order
-from base_station.publication.schema import STATE, Addresses, Head, Seen, State, Wish, encode
+from base_station.publication.schema import MAP, STATE, Addresses, Head, Map, Seen, State, Wish, encode
 from protocol import Telemetry
 from tests.helpers import ROOT
 
@@ -225,18 +229,76 @@ def test_the_plots_lines_end_now_and_have_gaps():
     assert shift == [[-2.0, 0], [-1.0, 1], [0.0, 2]]
     assert [value for _, value in zoom] == [None] * 3
     assert bearing[0][1] == pytest.approx(5.73, abs=0.01)
-    assert len(history_options()["grid"]) == len(CURVES) == len(history_series([]))
+    options = history_options()
+    assert len(options["grid"]) == len(CURVES) == len(history_series([]))
+    assert options["yAxis"][2][":max"] == "(on) => (on.max > 1.0 ? null : 1.0)", "a degree at the least"
+    assert ":min" not in options["yAxis"][3] and options["yAxis"][3]["min"] == 0
 
 
-def test_the_map_is_turned_upright_and_fitted():
-    assert to_scene(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, 3.0, -2.0]]
+def test_the_map_is_fitted_into_the_scene():
     points = np.random.default_rng(0).uniform(4.0, 6.0, (500, 3))
     points[0] = 1000.0
-    middle, scale = fitted(points, np.array([[5.0, 5.0, 0.0]]))
-    assert middle == pytest.approx([5, 5, 2.9], abs=0.15) and scale == pytest.approx(EXTENT / 2.9, rel=0.05)
+    fit = fitted(points, np.array([[5.0, 5.0, 0.0]]))
+    assert fit.middle == pytest.approx([5, 5, 2.9], abs=0.15) and fit.scale == pytest.approx(EXTENT / 2.9, rel=0.05)
     none = np.empty((0, 3))
-    assert fitted(none, none)[1] == 1.0 and fitted(np.ones((3, 3)), none)[1] == 1.0
-    assert rows_of(np.arange(7, dtype="<f4").tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert fitted(none, none).scale == 1.0 and fitted(np.ones((3, 3)), none).scale == 1.0
+
+
+def test_the_scene_stands_still_until_the_map_has_outgrown_it():
+    old = Fit((0.0, 0.0, 0.0), 1.0)
+    assert kept_fit(None, old) is old
+    assert kept_fit(old, Fit((0.1 * EXTENT, 0.0, 0.0), 1.1)) is old
+    for new in (Fit((0.0, 0.5 * EXTENT, 0.0), 1.0), Fit((0.0, 0.0, 0.0), 0.5), Fit((0.0, 0.0, 0.0), 2.0)):
+        assert kept_fit(old, new) is new
+
+
+def test_a_maps_numbers_are_read_and_what_is_none_is_left_out():
+    rows = np.arange(7, dtype="<f4")
+    assert rows_of(rows.tobytes()).tolist() == [[0, 1, 2], [3, 4, 5]]
+    rows[4] = np.inf
+    assert rows_of(rows.tobytes()).tolist() == [[0, 1, 2]]
+    assert np.frombuffer(base64.b64decode(text_of(rows_of(rows.tobytes()))), "<f4").tolist() == [0, 1, 2]
+    assert pose_of(Map(camera=tuple(range(16)))) == pytest.approx(np.arange(16.0).reshape(4, 4))
+    for camera in (None, (1.0, 2.0), (float("nan"),) * 16):
+        assert pose_of(Map(camera=camera)) is None
+
+
+def test_a_map_is_that_of_the_tracker_that_steers(tmp_path):
+    feed, told = Feed(Addresses(tmp_path)), State(link="", connected=True, tracker="slam")
+    for message in (STATE + encode(told), MAP + encode(Map(tracker="slam", point_count=7))):
+        feed._take_state(message)
+    assert feed.map is not None and feed.map.point_count == 7
+    feed._take_state(STATE + encode(told))
+    assert feed.map is not None
+    feed._take_state(STATE + encode(replace(told, tracker="ztransform")))
+    assert feed.map is None, "when slam comes back, its map is a new one"
+
+
+@pytest.mark.parametrize(
+    ("asked", "width"),
+    [((), 640), ((0,), 640), ((320,), 320), ((100, 320), 320), ((200,), 200), ((320, 0), 640), ((9999,), 640)],
+)
+def test_a_picture_is_no_wider_than_the_widest_page_shows_it(tmp_path, asked, width):
+    feed, image = Feed(Addresses(tmp_path)), np.zeros((480, 640), np.uint8)
+    head = Head(number=1, width=640, height=480, first_row=0, rows=480, arrived_s=0.0, focal_px=1, center_px=1,
+                seen=Seen(state="LOST"))  # fmt: skip
+    for one in asked:
+        asyncio.run(feed.picture(0, 0.001, one))
+    feed._asked_s = time.monotonic()
+    feed._take_picture([encode(head), image.tobytes()])
+    packed = asyncio.run(feed.picture(0, 1.0))
+    (length,) = struct.unpack("<I", packed[:4])
+    jpeg = cv2.imdecode(np.frombuffer(packed[4 + length :], np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert jpeg.shape == (width * 3 // 4, width)
+
+
+def test_a_page_that_is_gone_makes_no_picture_wide(tmp_path, monkeypatch):
+    feed, clock = Feed(Addresses(tmp_path)), [100.0]
+    monkeypatch.setattr("base_station.console.feed.time.monotonic", lambda: clock[0])
+    for seconds, width, kept in ((0.0, 600, 600), (0.1, 300, 600), (LOOKED_AT_S + 0.1, 300, 300)):
+        clock[0] += seconds
+        feed._note_look(width)
+        assert feed._width == kept
 
 
 def test_a_station_that_has_fallen_silent_is_not_shown_to_stand_well(tmp_path, monkeypatch):

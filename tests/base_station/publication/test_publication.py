@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +109,8 @@ def test_a_state_comes_back_as_it_went():
 
 def test_without_frames_nothing_old_is_told():
     robot = Robot(connected=False, telemetry=Telemetry(sequence=1, monotonic_s=2.0, wall_s=3.0))
-    maker = StateMaker(robot, lambda: CHOICES)
+    maker = StateMaker(robot, lambda: replace(CHOICES, tracker="klt", behaviour="idle"))
+    assert (maker.state(None).tracker, maker.state(None).behaviour) == ("klt", "idle"), "by which it will begin"
     maker.note_step(step_of())
     maker.note_wait()
     assert maker.state(None).seen is not None, "a frame may be a moment late"
@@ -133,6 +134,7 @@ def test_a_large_map_is_thinned_and_fits_in_a_message():
     points[7] = np.nan
     published = map_of(MapView(points=points, keyframes=points[:900], world_from_cam=np.eye(4)))
     again = from_bytes(Map, encode(published))
+    assert map_of(None, "slam") == Map(tracker="slam")
     assert again == published
     assert 1000 < len(again.points) // 12 <= 2000 and len(again.keyframes) // 12 <= 300
     assert (again.point_count, again.keyframe_count) == (50_001, 900)
@@ -242,7 +244,8 @@ def test_pictures_states_and_maps_arrive(context):
         assert from_bytes(Head, head).features == b"\x01\x00\x02\x00"
         assert pixels == bytes([9]) * 64 * 48
         assert from_bytes(State, kinds[STATE]).tracker == "ztransform"
-        assert from_bytes(Map, kinds[MAP]).point_count == 4
+        published = from_bytes(Map, kinds[MAP])
+        assert (published.tracker, published.point_count) == ("ztransform", 4)
 
 
 def test_a_signature_is_asked_for_no_more_often_than_it_is_sent(context):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import logging
 import random
@@ -354,6 +355,23 @@ def test_a_slow_disk_costs_pictures_and_is_said_and_orders_stay(
     assert [step.key[1] for step in steps] == list(range(1, 31))
     assert [step.key[1] for step in steps if step.orders] == [25]
     assert f"{without} of them without their picture" in made.described()
+
+
+@pytest.mark.parametrize(("patient", "who"), [(False, "robot"), (True, "replay")])
+def test_a_full_disk_is_said_with_who_goes_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, patient: bool, who: str
+):
+    made = Recorder(tmp_path / "run.mcap", raw=True, patient=patient)
+
+    class Full(io.FileIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    made._file._sink._file = Full(made.path, "r+b")
+    for number in range(1, 9):
+        made.note_step(a_step(number))
+    made.close()
+    assert f"No space left on device). The {who} goes on" in caplog.text
 
 
 @pytest.mark.parametrize("data", [b"\x08", b"\x0a\x05ab", b"\x0b", b"\x09\x01", b"\x08" + b"\xff" * 11])
