@@ -16,6 +16,7 @@ import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.certainty import CertaintySettings, is_certain
+from base_station.trackers.slam.chance import ChanceSettings, log10_false_alarms
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.local_map import LocalMap, local_map
 from base_station.trackers.slam.map import NONE, Map
@@ -57,6 +58,8 @@ class TrackingSettings:
     """Of a match that supports a pose from three points."""
     certainty: CertaintySettings = field(default_factory=CertaintySettings)
     """Of a pose without a pose before, and of one far from the expected one."""
+    chance: ChanceSettings = field(default_factory=ChanceSettings)
+    """Of any pose."""
 
 
 @dataclass
@@ -74,13 +77,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Located:
-    """Where a picture was taken, by which points of the map."""
+    """Where a picture was taken, by which points of the map. `tried`: matches that the first pose was chosen from."""
 
     cam_from_world: np.ndarray
     point_of: np.ndarray
     reference: int
     matches: int
     surroundings: LocalMap
+    tried: int
 
 
 @dataclass
@@ -164,9 +168,13 @@ class FrameTracker:
         if fit is None:
             return "the keyframe's points are not found"
         found = self.by_local_map(picture, fit, keyframe, self.settings.least_inliers_found_again, wide=True)
-        if isinstance(found, str) or self._is_certain(picture, found):
+        if isinstance(found, str):
             return found
-        return f"{found.matches} points are seen, but leave the pose unsure"
+        if not self._is_certain(picture, found):
+            return f"{found.matches} points are seen, but leave the pose unsure"
+        if not self._is_more_than_chance(picture, found):
+            return f"{found.matches} points are seen, as many as by chance"
+        return found
 
     def by_local_map(
         self, picture: Picture, first: PoseFit, reference: int, least: int, *, wide: bool = False
@@ -195,7 +203,9 @@ class FrameTracker:
             return f"only {count} of {tried} points fit a pose"
         seen = picture.point_of[picture.point_of >= 0]
         self._count(np.concatenate([expected.rows, seen]), seen)
-        return Located(fit.cam_from_world, picture.point_of.copy(), around.reference, count, around)
+        return Located(
+            fit.cam_from_world, picture.point_of.copy(), around.reference, count, around, len(first.inliers)
+        )  # fmt: skip
 
     # --- ways to a first pose ---------------------------------------------------------------------------------------
 
@@ -312,7 +322,18 @@ class FrameTracker:
     def _is_enough(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         if found.matches < self.settings.least_inliers and not self._is_certain(picture, found):
             return False
-        return self._plausible(picture, found, guess)
+        return self._plausible(picture, found, guess) and self._is_more_than_chance(picture, found)
+
+    def _is_more_than_chance(self, picture: Picture, found: Located) -> bool:
+        if found.matches >= self.settings.chance.beyond:
+            return True
+        seen = found.point_of[found.point_of >= 0]
+        around = np.unique(np.concatenate([seen, found.surroundings.open_points]))
+        expected = expect(self._map, around, found.cam_from_world, self._camera)
+        alarms = log10_false_alarms(
+            self._map, expected, picture.features, picture.grid, found.point_of, found.tried
+        )  # fmt: skip
+        return alarms <= self.settings.chance.most_log10
 
     def _plausible(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         """A pose far from the expected one is believed only if one from nowhere would be."""
