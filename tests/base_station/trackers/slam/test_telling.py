@@ -33,11 +33,11 @@ def test_few_points_in_a_quick_turn_are_no_pose_to_tell(points, deg_s, trustwort
     nothing = np.full(COUNT, -1, np.int32)
     around = LocalMap(0, np.array([0]), np.empty(0, np.int64))
 
-    first = Located(np.eye(4), nothing, 0, points, around)
+    first = Located(np.eye(4), nothing, 0, points, around, points)
     assert tracker.is_trustworthy(Picture(0.0, features, grid), first)  # there is no turn yet
     tracker.remember(Picture(0.0, features, grid), first, moving=False)
     turned = exponential(np.array([0.0, 0.0, 0.0, 0.0, math.radians(deg_s) / 20, 0.0]))
     assert (
-        tracker.is_trustworthy(Picture(0.05, features, grid), Located(turned, nothing, 0, points, around))
+        tracker.is_trustworthy(Picture(0.05, features, grid), Located(turned, nothing, 0, points, around, points))
         is trustworthy
     )
