@@ -10,12 +10,15 @@ import pytest
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.chance import ChanceSettings, bits, log10_false_alarms, log10_poisson_tail
 from base_station.trackers.slam.features import Features
-from base_station.trackers.slam.map import Map
+from base_station.trackers.slam.local_map import LocalMap
+from base_station.trackers.slam.map import Map, refresh_points
 from base_station.trackers.slam.matching import Grid, match_projections
 from base_station.trackers.slam.popcount import hamming_reference
+from base_station.trackers.slam.tracking import FrameTracker, Located, Picture, TrackingSettings
 from base_station.trackers.slam.visibility import Expected
+from tests.base_station.trackers.slam.scene import SCALES, box_of_points, features_of, project, random_looks
 
-CAMERA = SlamCamera.with_fov(640, 480)
+CAMERA = SlamCamera(width_px=640, height_px=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
 ALLOWED = ChanceSettings().most_log10
 TRIED = 70
 
@@ -68,6 +71,26 @@ def test_few_that_look_the_same_say_more_than_many_that_hardly_do():
 
 def test_three_points_can_always_be_made_to_fit():
     assert log10_alarms(3, bits_changed=0.0) > 0.0
+
+
+@pytest.mark.parametrize(("allowed", "believed"), [(ALLOWED, True), (-math.inf, False)])
+def test_the_tracker_asks_before_it_believes_a_pose(allowed, believed):
+    rng = np.random.default_rng(0)
+    points, alike = box_of_points(rng, 80), random_looks(rng, 80)
+    features = features_of(project(np.eye(4), points), alike)
+    world = Map(80, SCALES)
+    world.add_keyframe(0, 0.0, np.eye(4), features, np.empty(0, np.int32), 0)
+    rows = world.add_points(points, alike, 0)
+    world.point_of[0, rows] = rows
+    refresh_points(world, rows, np.array([0]))
+    tracker = FrameTracker(CAMERA, world, TrackingSettings(chance=ChanceSettings(most_log10=allowed)))
+    picture = Picture(0.0, features, Grid.of(features.xy_px, CAMERA.bounds_px))
+    found = tracker.locate_by(picture, 0)
+    assert isinstance(found, Located) if believed else found == "80 points are seen, as many as by chance"
+    first = Located(np.eye(4), rows.copy(), 0, 80, LocalMap(0, np.array([0]), np.empty(0, np.int64)), 80)
+    tracker.remember(picture, first, moving=False)
+    again = Picture(0.1, features, picture.grid)
+    assert isinstance(tracker.follow(again), Located) is believed
 
 
 def test_the_tail_of_poissons_distribution():
