@@ -33,8 +33,10 @@ class LoopSettings:
     """Keyframes before this one that are no loop."""
     neighbour_share: float = 0.8
     """Of the least similarity to its own neighbours, that a keyframe must have to a candidate."""
-    least_pairs: int = 20
-    """Points of both keyframes that agree with a similarity."""
+    least_pairs: int = 12
+    """Points of both keyframes that agree with a similarity. It need only be good enough for the next test, which
+    decides: seen from a little aside, two keyframes have few pairs in common, and a similarity from points that are not
+    exact fits half of them."""
     least_projected: int = 45
     """Points of the candidate's surroundings found in the keyframe's picture."""
     least_by_neighbour: int = 25

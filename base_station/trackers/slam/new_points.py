@@ -9,14 +9,14 @@ come out far they do not. So the map shrinks with every turn in which few old po
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, match_epipolar
-from base_station.trackers.slam.se3 import camera_centers, inverse, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import camera_centers, inverse, transform
 from base_station.trackers.slam.triangulation import believable, fundamental_matrix, triangulate
 
 
@@ -28,38 +28,21 @@ class NewPointSettings:
     """That a keyframe is matched with."""
     least_baseline: float = 0.01
     """Between two keyframes, as a share of the median depth; below, depth is a guess."""
-    least_sigmas: float = 10.0
-    """The parallax that a point should have, in standard deviations of a keypoint: a tenth of the depth is uncertain
-    then..."""
-    least_measured_share: float = 0.6
+    least_sigmas: float = 6.0
+    """The parallax that a point should have, in standard deviations of a keypoint: a sixth of the depth is uncertain
+    then, which is made up for by the keyframes to come..."""
+    least_measured_share: float = 0.5
     """...and the share of it that it must have: below, it may be any distance off."""
-    starving: int = 120
-    """A keyframe that sees fewer points..."""
-    quick_rad_s: float = math.radians(60.0)
-    """...in a turn as quick as this is about to lose the map: what comes into view leaves it within some pictures..."""
-    starving_sigmas: float = 6.0
-    """...so for it less sure points are better than none."""
 
 
 def make_points(world: Map, keyframe: int, camera: SlamCamera, settings: NewPointSettings) -> np.ndarray:
     """Triangulate what this keyframe's free features show together with neighbours'; the new rows."""
     usual_depth = median_depth(world, keyframe)
-    if _is_starving(world, keyframe, settings):
-        settings = replace(settings, least_sigmas=settings.starving_sigmas)
     made = [
         _between(world, keyframe, int(other), usual_depth, camera, settings)
         for other in world.neighbours(keyframe, settings.neighbours)
     ]
     return np.concatenate(made) if made else np.empty(0, np.int32)
-
-
-def _is_starving(world: Map, keyframe: int, settings: NewPointSettings) -> bool:
-    if np.count_nonzero(world.point_of[keyframe] >= 0) >= settings.starving:
-        return False
-    before = world.keyframes_alive(int(world.component[keyframe]))
-    before = before[before < keyframe][-1:]
-    turned_rad = [rotation_angle_rad(world.poses[keyframe, :3, :3] @ world.poses[row, :3, :3].T) for row in before]
-    return any(turned_rad >= settings.quick_rad_s * np.abs(world.time_s[keyframe] - world.time_s[before]))
 
 
 def median_depth(world: Map, keyframe: int) -> float:

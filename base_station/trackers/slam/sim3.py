@@ -30,7 +30,7 @@ class Sim3Settings:
     samples: int = 300
     """Candidates that are tried, each from three pairs. With a third of the pairs right, 300 hold an all-right one with
     probability 0.99999."""
-    least_inliers: int = 20
+    least_inliers: int = 12
     """With fewer pairs that agree there is no similarity."""
     rounds: int = 10
     """Of the refinement, at the most."""

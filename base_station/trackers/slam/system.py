@@ -245,7 +245,7 @@ class SlamSystem:
         return found
 
     def _located(self, picture: Picture, found: Located) -> SlamFrame:
-        told = self._tracker.is_trustworthy(picture, found)
+        doubt = self._tracker.doubt(picture, found)
         self._tracker.remember(picture, found, moving=not self._lost_frames)
         self._component = int(self._map.component[found.reference])
         self._last_located_s, self._lost_frames = picture.time_s, 0
@@ -253,7 +253,7 @@ class SlamSystem:
         self._reference = reference = found.reference
         from_reference = relative(found.cam_from_world, self._map.poses[reference])
         where = _Tracked(picture.time_s, reference, from_reference, float(self._map.sizes[reference]))
-        if told:
+        if not doubt:
             self._counts.tracked += 1
             self._trajectory.append(where)
         kept = wants_keyframe(
@@ -265,9 +265,8 @@ class SlamSystem:
         )
         if kept:
             self._keep(picture, where)
-        if not told:
-            reason = f"only {found.matches} points of the map are seen in a quick turn: followed, but not surely"
-            return SlamFrame(TrackingState.LOST, reason=reason, keyframe=kept, matches=found.matches)
+        if doubt:
+            return SlamFrame(TrackingState.LOST, reason=doubt, keyframe=kept, matches=found.matches)
         return SlamFrame(
             TrackingState.TRACKING, found.cam_from_world, keyframe=kept, matches=found.matches,
             component=self._component,

@@ -9,13 +9,14 @@ local map then adds all other points that should be in view, and the pose is fit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.certainty import CertaintySettings, is_certain
+from base_station.trackers.slam.chance import ChanceSettings, log10_false_alarms
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.local_map import LocalMap, local_map
 from base_station.trackers.slam.map import NONE, Map
@@ -23,7 +24,7 @@ from base_station.trackers.slam.matching import NEAR, Grid, match_everywhere, ma
 from base_station.trackers.slam.pose_optimization import PoseFit, optimize_pose
 from base_station.trackers.slam.se3 import camera_centers, pose_of, relative, rotation_angle_rad, transform
 from base_station.trackers.slam.turning import turn_between
-from base_station.trackers.slam.visibility import expect
+from base_station.trackers.slam.visibility import Expected, expect
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,9 @@ class TrackingSettings:
     """A turn as quick as this brings into view what leaves it again within some pictures."""
     least_inliers_found_again: int = 50
     """The same for a pose without a pose before."""
+    least_share_found_again: float = 0.25
+    """Of the points that should be seen from it. With fewer, a pose without a pose before is told only when the next
+    picture is followed from there: it sees more, and what it sees is nearer to where it is expected."""
     least_inlier_share: float = 0.4
     """Of the points found, that must fit."""
     farthest_jump: float = 0.35
@@ -57,6 +61,8 @@ class TrackingSettings:
     """Of a match that supports a pose from three points."""
     certainty: CertaintySettings = field(default_factory=CertaintySettings)
     """Of a pose without a pose before, and of one far from the expected one."""
+    chance: ChanceSettings = field(default_factory=ChanceSettings)
+    """Of any pose."""
 
 
 @dataclass
@@ -74,13 +80,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class Located:
-    """Where a picture was taken, by which points of the map."""
+    """Where a picture was taken, by which points of the map. `tried`: matches that the first pose was chosen from;
+    `unconfirmed`: a pose without a pose before that the next picture is to confirm."""
 
     cam_from_world: np.ndarray
     point_of: np.ndarray
     reference: int
     matches: int
     surroundings: LocalMap
+    tried: int
+    unconfirmed: bool = False
 
 
 @dataclass
@@ -134,13 +143,17 @@ class FrameTracker:
 
     # --- a picture's way --------------------------------------------------------------------------------------------
 
-    def is_trustworthy(self, picture: Picture, found: Located) -> bool:
-        """Whether a pose that was followed may be told: not from few points in a quick turn. Before `remember`."""
+    def doubt(self, picture: Picture, found: Located) -> str:
+        """Why a pose that is followed may not be told yet, in words; empty: it may. Before `remember`."""
+        if found.unconfirmed:
+            return f"only {found.matches} points of the map are found again: to be confirmed by the next picture"
         last, before = self._last, self.last_pose
         if found.matches >= self.settings.least_in_quick_turn or last is None or before is None:
-            return True
+            return ""
         turned_rad = rotation_angle_rad(found.cam_from_world[:3, :3] @ before[:3, :3].T)
-        return turned_rad <= self.settings.quick_rad_s * (picture.time_s - last.picture.time_s)
+        if turned_rad <= self.settings.quick_rad_s * (picture.time_s - last.picture.time_s):
+            return ""
+        return f"only {found.matches} points of the map are seen in a quick turn: followed, but not surely"
 
     def follow(self, picture: Picture) -> Located | str:
         """Where this picture was taken, from the one before; or in words why that is not known."""
@@ -164,9 +177,15 @@ class FrameTracker:
         if fit is None:
             return "the keyframe's points are not found"
         found = self.by_local_map(picture, fit, keyframe, self.settings.least_inliers_found_again, wide=True)
-        if isinstance(found, str) or self._is_certain(picture, found):
+        if isinstance(found, str):
             return found
-        return f"{found.matches} points are seen, but leave the pose unsure"
+        if not self._is_certain(picture, found):
+            return f"{found.matches} points are seen, but leave the pose unsure"
+        if not self._is_more_than_chance(picture, found):
+            return f"{found.matches} points are seen, as many as by chance"
+        expected = self._expected(found).rows
+        seen_share = np.isin(expected, found.point_of).sum() / max(len(expected), 1)
+        return replace(found, unconfirmed=bool(seen_share < self.settings.least_share_found_again))
 
     def by_local_map(
         self, picture: Picture, first: PoseFit, reference: int, least: int, *, wide: bool = False
@@ -195,7 +214,9 @@ class FrameTracker:
             return f"only {count} of {tried} points fit a pose"
         seen = picture.point_of[picture.point_of >= 0]
         self._count(np.concatenate([expected.rows, seen]), seen)
-        return Located(fit.cam_from_world, picture.point_of.copy(), around.reference, count, around)
+        return Located(
+            fit.cam_from_world, picture.point_of.copy(), around.reference, count, around, len(first.inliers)
+        )  # fmt: skip
 
     # --- ways to a first pose ---------------------------------------------------------------------------------------
 
@@ -312,7 +333,21 @@ class FrameTracker:
     def _is_enough(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         if found.matches < self.settings.least_inliers and not self._is_certain(picture, found):
             return False
-        return self._plausible(picture, found, guess)
+        return self._plausible(picture, found, guess) and self._is_more_than_chance(picture, found)
+
+    def _is_more_than_chance(self, picture: Picture, found: Located) -> bool:
+        if found.matches >= self.settings.chance.beyond:
+            return True
+        alarms = log10_false_alarms(
+            self._map, self._expected(found), picture.features, picture.grid, found.point_of, found.tried
+        )  # fmt: skip
+        return alarms <= self.settings.chance.most_log10
+
+    def _expected(self, found: Located) -> Expected:
+        """The points around that should be seen from a pose."""
+        seen = found.point_of[found.point_of >= 0]
+        around = np.unique(np.concatenate([seen, found.surroundings.open_points]))
+        return expect(self._map, around, found.cam_from_world, self._camera)
 
     def _plausible(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         """A pose far from the expected one is believed only if one from nowhere would be."""

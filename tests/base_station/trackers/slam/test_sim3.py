@@ -139,7 +139,7 @@ def test_refinement_comes_back_from_a_wrong_start_and_betters_the_alignment():
 def test_no_similarity_where_there_is_none():
     a, b, _, _ = two_keyframes(7, wrong=1.0)
     assert estimate(a, b) is None
-    few_a, few_b, _, _ = two_keyframes(7, count=12)
+    few_a, few_b, _, _ = two_keyframes(7, count=11)
     assert estimate(few_a, few_b) is None
     behind = Sighted(points=-a.points, seen=a.seen, sigma=a.sigma)
     assert estimate(behind, b) is None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.local_map import LocalMap
-from base_station.trackers.slam.map import Map
+from base_station.trackers.slam.map import Map, refresh_points
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.se3 import exponential
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
@@ -33,11 +34,26 @@ def test_few_points_in_a_quick_turn_are_no_pose_to_tell(points, deg_s, trustwort
     nothing = np.full(COUNT, -1, np.int32)
     around = LocalMap(0, np.array([0]), np.empty(0, np.int64))
 
-    first = Located(np.eye(4), nothing, 0, points, around)
-    assert tracker.is_trustworthy(Picture(0.0, features, grid), first)  # there is no turn yet
+    first = Located(np.eye(4), nothing, 0, points, around, points)
+    assert not tracker.doubt(Picture(0.0, features, grid), first)  # there is no turn yet
+    assert "confirmed" in tracker.doubt(Picture(0.0, features, grid), replace(first, unconfirmed=True))
     tracker.remember(Picture(0.0, features, grid), first, moving=False)
     turned = exponential(np.array([0.0, 0.0, 0.0, 0.0, math.radians(deg_s) / 20, 0.0]))
-    assert (
-        tracker.is_trustworthy(Picture(0.05, features, grid), Located(turned, nothing, 0, points, around))
-        is trustworthy
-    )
+    there = Located(turned, nothing, 0, points, around, points)
+    assert (tracker.doubt(Picture(0.05, features, grid), there) == "") is trustworthy
+
+
+@pytest.mark.parametrize(("unseen", "unconfirmed"), [(0, False), (4 * COUNT, True)])
+def test_found_again_by_few_of_what_should_be_seen_is_to_be_confirmed(unseen, unconfirmed):
+    rng = np.random.default_rng(1)
+    points, looks = box_of_points(rng, COUNT + unseen), random_looks(rng, COUNT + unseen)
+    world = Map(COUNT + unseen, SCALES)
+    both = features_of(project(np.eye(4), points), looks)
+    world.add_keyframe(0, 0.0, np.eye(4), both, np.empty(0, np.int32), 0)
+    rows = world.add_points(points, looks, 0)
+    world.point_of[0, rows] = rows
+    refresh_points(world, rows, np.array([0]))
+    shown = both.part(np.arange(COUNT))
+    found = FrameTracker(CAMERA, world).locate_by(Picture(1.0, shown, Grid.of(shown.xy_px, CAMERA.bounds_px)), 0)
+    assert isinstance(found, Located)
+    assert found.unconfirmed is unconfirmed
