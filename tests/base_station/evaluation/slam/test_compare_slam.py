@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -111,6 +113,27 @@ def test_the_adapter_is_scored_as_ours_is(tmp_path, monkeypatch):
     assert found["initializing_frames"] == 3
     assert found["ate_rmse"] < 1e-4 and found["ate_online_rmse"] < 1e-4 and found["ate_poses"] == FRAMES - 3
     assert found["keyframes"] == 5 and found["points"] is None and found["loops"] is None
+
+
+def test_the_adapter_needs_no_more_than_is_installed_for_it():
+    """compare-slam gives ORB-SLAM3 an environment of its own, with little in it."""
+    script = (PEER.parents[1] / "compare-slam").read_text()
+    packages = re.search(r"grep -E '\^\(([a-z|-]+)\)=='", script)[1].split("|")
+    assert {"numpy", "opencv-python-headless"} < set(packages)
+    names = {"opencv-python-headless": "cv2"}
+    allowed = {names.get(package, package) for package in packages} | {"llvmlite"}  # which numba brings
+    program = f"""
+import importlib.util, runpy, sys, sysconfig
+class OnlyThese:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top not in {allowed!r} and top not in ("base_station", "protocol", *sys.stdlib_module_names):
+            raise ModuleNotFoundError("No module named " + repr(top), name=top)
+sys.meta_path.insert(0, OnlyThese())
+runpy.run_path({str(PEER)!r}, run_name="peer")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_ours_alone_where_orbslam_is_not_installed(tmp_path, monkeypatch, capsys):
