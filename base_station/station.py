@@ -21,6 +21,7 @@ from base_station.link import Link
 from base_station.orders import Order
 from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import close_tracker
 from base_station.types import Box, Frame, TrackerResult
 from base_station.watcher import Kit, Watcher
 from base_station.workshop import Workshop
@@ -188,7 +189,7 @@ class Station:
     def _unwanted(self, work: Future[Kit | None]) -> None:
         """Made, but too late."""
         if work.exception() is None and (kit := work.result()) is not None:
-            _close(kit.tracker)
+            close_tracker(kit.tracker)
 
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
@@ -326,7 +327,7 @@ class Station:
         self._remember(name, frame, target)
 
     def _retire(self, tracker: Tracker) -> None:
-        self._workshop.submit(lambda: _close(tracker))
+        self._workshop.submit(lambda: close_tracker(tracker))
 
     def _notice(self, text: str, level: int = logging.WARNING) -> None:
         self._notices.append(text)
@@ -346,10 +347,3 @@ class Station:
         over = self.settings.duration_s is not None and frame.time_s - self._first_s >= self.settings.duration_s
         if over or self._frames == self.settings.max_frames:
             self._stopping = True
-
-
-def _close(tracker: Tracker) -> None:
-    try:
-        tracker.close()
-    except Exception as error:  # a user's own tracker may fail here too
-        log.warning("the tracker did not close cleanly: %s: %s", type(error).__name__, error)

@@ -20,6 +20,7 @@ from base_station.errors import StationError
 from base_station.evaluation.overlap import read_truth, score_boxes
 from base_station.geometry import PinholeCamera
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import FAILURES, checked, told
 from base_station.types import Box, Frame, TrackingState
 
 TRUTH_FILE, IMAGE_FOLDER = "groundtruth_rect.txt", "img"
@@ -82,7 +83,7 @@ class TrackerFollower:
 
     def next(self, image: np.ndarray) -> Box | None:
         """Update with the next frame."""
-        result = self._tracker.update(self._frame(image))
+        result = checked(self._tracker, self._tracker.update(self._frame(image)))
         return result.box if result.state is TrackingState.TRACKING else None
 
     def _frame(self, image: np.ndarray) -> Frame:
@@ -124,18 +125,24 @@ def _sequence(folder: Path, max_frames: int | None) -> Recording:
 
 
 def run_sequence(sequence: Recording, follower: Follower, on_frame: Callable[[], None] = lambda: None) -> SequenceScore:
-    """Raises StationError when the first box cannot be learned or a picture cannot be read."""
+    """Raises StationError when the first box cannot be learned, a picture cannot be read, or the follower fails."""
     first = Box(*sequence.truth[0].tolist())
+    image = _read(sequence.pictures[0], follower.flags)
     try:
-        follower.start(_read(sequence.pictures[0], follower.flags), first)
+        follower.start(image, first)
     except ValueError as error:
         raise StationError(f"{sequence.name}: the first box cannot be learned: {error}.") from error
+    except FAILURES as error:
+        raise _failed(sequence, sequence.pictures[0], error) from error
     on_frame()
     boxes, times_ms, lost = [first], [], 0
     for path in sequence.pictures[1:]:
         image = _read(path, follower.flags)
         begin = time.perf_counter_ns()
-        box = follower.next(image)
+        try:
+            box = follower.next(image)
+        except FAILURES as error:
+            raise _failed(sequence, path, error) from error
         times_ms.append((time.perf_counter_ns() - begin) / 1e6)
         lost += box is None
         boxes.append(box or boxes[-1])
@@ -152,6 +159,12 @@ def run_sequence(sequence: Recording, follower: Follower, on_frame: Callable[[],
         ms_p95=float(np.percentile(times_ms, 95)),
         lost_frames=lost,
     )
+
+
+def _failed(sequence: Recording, path: Path, error: BaseException) -> StationError:
+    if isinstance(error, StationError):
+        return error
+    return StationError(f"{sequence.name}: the tracker failed at {path.name}: {told(error)}.")
 
 
 def _read(path: Path, flags: int) -> np.ndarray:

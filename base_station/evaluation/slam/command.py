@@ -28,10 +28,12 @@ from base_station.evaluation.slam.trajectory import write_euroc, write_tum
 from base_station.evaluation.thesis.plotting import require
 from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.output_files import write_json
-from base_station.trackers.registry import class_in_file
+from base_station.trackers.own import close_tracker
+from base_station.trackers.registry import made_from_file
 from base_station.trackers.slam.camera import SlamCamera
 
 OWN = "slam"
+SLAM_METHODS = ("track", "finish", "trajectory", "keyframes", "points", "statistics", "close")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +94,7 @@ def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
             return show(sequence, slam, realtime=command.realtime, on_frame=lambda: progress.advance(task))
     finally:
         cv2.setNumThreads(threads)
-        slam.close()
+        close_tracker(slam)
 
 
 def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int) -> Slam:
@@ -105,10 +107,9 @@ def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int)
         text = f"{name!r} gives no trajectory: evaluate slam runs slam, or your own class as path/to/file.py:ClassName."
         raise StationError(text, usage=True)
     try:
-        kind = class_in_file(name)
+        made: Slam = made_from_file(name, SLAM_METHODS, camera, single_process=single_process, seed=seed)
     except ValueError as error:
         raise StationError(str(error), usage=True) from error
-    made: Slam = kind(camera, single_process=single_process, seed=seed)
     return made
 
 

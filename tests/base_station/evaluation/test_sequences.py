@@ -181,6 +181,29 @@ def test_wrong_options_are_wrong_usage(tmp_path, capsys, options, said):
         assert otb_command.main([folder, *options]) == 2
 
 
+@pytest.mark.parametrize(
+    ("learn", "update", "said"),
+    [
+        ("raise RuntimeError('oops')", "pass", "the tracker failed at 0001.png: RuntimeError: oops (mine.py, line 2)"),
+        ("pass", "1 / 0", "the tracker failed at 0002.png: ZeroDivisionError: division by zero (mine.py, line 3)"),
+        ("pass", "raise SystemExit(3)", "the tracker failed at 0002.png: SystemExit: 3 (mine.py, line 3)"),
+        ("pass", "pass", "Mine.update returned NoneType, not a TrackerResult"),
+    ],
+)
+def test_a_tracker_of_ones_own_that_fails_is_one_sentence_and_is_closed(
+    tmp_path, capsys, caplog, learn, update, said
+):  # fmt: skip
+    own = tmp_path / "mine.py"
+    own.write_text(
+        f"class Mine:\n    def learn(self, frame, target): {learn}\n    def update(self, frame): {update}\n"
+        "    def close(self): 1 / 0\n"
+    )
+    folder = write_sequence(tmp_path / "toy", 3)
+    assert cli.main(["evaluate", "tracking", str(folder), "--tracker", f"{own}:Mine"]) == 1
+    assert said in capsys.readouterr().err
+    assert "did not close cleanly: ZeroDivisionError" in caplog.text
+
+
 def test_trackers_are_compared_on_the_same_sequences(tmp_path, capsys):
     folder = write_sequence(tmp_path / "toy")
     path = tmp_path / "all.json"

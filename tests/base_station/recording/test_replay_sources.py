@@ -193,6 +193,19 @@ def test_a_tracker_of_ones_own_that_fails_is_named_with_its_line(otb: Path, tmp_
         run(otb, tracker=f"{own}:Mine")
 
 
+def test_a_tracker_that_cannot_be_closed_buries_no_cause(
+    otb: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "class Mine:\n    def learn(self, frame, target): pass\n    def update(self, frame): pass\n"
+        "    def close(self): raise OSError('stuck')\n"
+    )
+    with pytest.raises(StationError, match=r"Mine\.update returned NoneType"):
+        run(otb, f"{own}:Mine")
+    assert "the tracker did not close cleanly: OSError: stuck (mine.py, line 4)" in caplog.text
+
+
 def test_agreement_is_told_bit_for_bit_and_in_numbers():
     other = replace(TRACKED, bearing_rad=0.1 + math.radians(0.5), zoom=2.02, shift_px=4.0)
     same = agreement([(TRACKED, TRACKED), (LOST, LOST)])

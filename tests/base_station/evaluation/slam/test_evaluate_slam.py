@@ -175,7 +175,7 @@ def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys):
     assert "There is no folder" in error and "is no sequence" in error and "Traceback" not in error
 
 
-def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch):
+def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch, capsys):
     closed = []
     monkeypatch.setattr("base_station.evaluation.slam.command.make_slam", lambda *_, **__: Failing(closed))
 
@@ -189,9 +189,32 @@ def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch):
         def close(self):
             self.closed.append(True)
 
-    with pytest.raises(RuntimeError, match="a defect"):
-        evaluate(write_tum_sequence(tmp_path / "toy", 3))
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3)) == 1
     assert closed == [True]
+    assert "The tracker failed at " in (error := capsys.readouterr().err) and "RuntimeError: a defect (" in error
+
+
+@pytest.mark.parametrize(
+    ("method", "said", "code"),
+    [
+        ("__init__(self, camera, **options): raise ValueError('no')", "Mine() failed: ValueError: no", 2),
+        ("track(self, image, time_s): pass", "Mine.track returned NoneType, not a SlamFrame", 1),
+        ("trajectory(self): return [(0.0, None), None]", "The tracker failed after the last picture: TypeError", 1),
+        ("close(self): 1 / 0", "", 0),
+    ],
+)
+def test_a_system_of_ones_own_that_fails_is_one_sentence(tmp_path, capsys, method, said, code):
+    own = tmp_path / "mine.py"
+    own.write_text(f"from {sequences.__name__} import ConstantMotion\nclass Mine(ConstantMotion):\n    def {method}\n")
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3), tracker=f"{own}:Mine") == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_system_that_lacks_methods_is_wrong_usage(tmp_path, capsys):
+    own = tmp_path / "mine.py"
+    own.write_text("class Mine:\n    def __init__(self, camera, **options): pass\n    def track(self, i, t): pass\n")
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3), tracker=f"{own}:Mine") == 2
+    assert "it has no method finish, trajectory, keyframes" in capsys.readouterr().err
 
 
 def test_memory_is_that_of_this_process_and_its_children():
