@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from base_station import cli
 from base_station.cli import EXIT_DONE, EXIT_USAGE, main
+from base_station.errors import EXIT_INTERRUPTED
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,34 @@ def test_a_typo_is_one_line(arguments: str, said: str, capsys: pytest.CaptureFix
     assert out == ""
     assert said in error
     assert len(error.splitlines()) == 1, error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "does", "code"),
+    [
+        ("evaluate tracking x", "evaluate", EXIT_INTERRUPTED),
+        ("evaluate slam x", "evaluate", EXIT_INTERRUPTED),
+        ("compare x --trackers phase", "compare", EXIT_INTERRUPTED),
+        ("export x.mcap y", "export", EXIT_INTERRUPTED),
+        ("landmarks list", "landmarks", EXIT_INTERRUPTED),
+        ("calibrate live", "calibrate_camera", EXIT_INTERRUPTED),
+        ("replay x.mcap", "replay_run", EXIT_INTERRUPTED),
+        ("replay x.mcap --console", "replay_run", EXIT_DONE),
+        ("run", "run", EXIT_DONE),
+    ],
+)
+def test_an_interrupted_command_has_not_done_it(
+    arguments: str, does: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C. To drive and to watch have no other end."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, does, interrupted)
+    monkeypatch.setattr(cli, "watching_console", lambda *_: None)
+    assert main(arguments.split()) == code
+    assert capsys.readouterr().err == ("base-station: interrupted\n" if code else "")
 
 
 def test_underscores_and_switched_off_flags_are_known(capsys: pytest.CaptureFixture[str]) -> None:

@@ -154,6 +154,9 @@ def test_evaluate_writes_several_and_their_mean(tmp_path, capsys):
         (lambda folder: (folder / "groundtruth_rect.txt").write_text("1,2,30,40\n"), 2, "at least 2 are needed"),
         (lambda folder: (folder / "groundtruth_rect.txt").write_text("900,2,30,40\n" * 9), 1, "first box cannot be"),
         (lambda folder: (folder / "img" / "0003.png").write_bytes(b"x"), 1, "0003.png cannot be read"),
+        (lambda folder: (folder / "img" / "0003.png").unlink(), 1, "after 0002.png comes 0004.png"),
+        (lambda folder: (folder / "groundtruth_rect.txt").write_text("1e300,2,3,4\n1,2,3,4\n"), 1, "no box to learn"),
+        (lambda folder: (folder / "groundtruth_rect.txt").write_text("1,2,3,4\n"), 2, "has 1 picture with"),
     ],
 )  # fmt: skip
 def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys, damage, code, said):
@@ -163,6 +166,43 @@ def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys, damage, code, sai
     error = capsys.readouterr().err
     assert said in error
     assert "Traceback" not in error
+
+
+def rename(folder, names):
+    for path, name in zip(sorted(folder.iterdir()), names, strict=True):
+        path.rename(folder / f"new-{name}")
+    for path in folder.iterdir():
+        path.rename(folder / path.name.removeprefix("new-"))
+
+
+@pytest.mark.parametrize(
+    ("names", "truths"),
+    [
+        ([f"{number:04d}.png" for number in range(300, 312)], 12),
+        ([f"{number:04d}.png" for number in range(300, 312)], 9),  # some of OTB's truths are shorter
+        ([f"{number:04d}.png" for number in range(300, 312)], 20),  # or longer
+        ([f"{number}.png" for number in range(1, 13)], 9),
+        ([f"{2 * number:04d}.png" for number in range(12)], 12),  # every second one, with a box each
+        ([f"{name}.png" for name in "abcdefghijkl"], 9),
+    ],
+)
+def test_pictures_are_taken_by_their_numbers_whatever_the_first_is(tmp_path, names, truths):
+    folder = write_sequence(tmp_path / "toy", 12)
+    rename(folder / "img", names)
+    (folder / "groundtruth_rect.txt").write_text("40,30,60,48\n" * truths)
+    assert [path.name for path in find_sequences(folder)[0].pictures] == names[:truths]
+
+
+def test_pictures_without_a_true_box_are_shown_and_not_compared(tmp_path, capsys):
+    folder = write_sequence(tmp_path / "toy", 6)
+    lines = (folder / "groundtruth_rect.txt").read_text().splitlines()
+    lines[2], lines[4] = "NaN,NaN,NaN,NaN", "1e300,30,60,48"
+    (folder / "groundtruth_rect.txt").write_text("\n".join(lines))
+    (sequence,) = find_sequences(folder)
+    score = run_sequence(sequence, Scripted([Box(40 + STEP_PX * number, 30, 60, 48) for number in range(1, 6)]))
+    assert (score.frames, score.precision20, score.auc) == (4, 1.0, pytest.approx(20 / 21))
+    assert cli.main(["evaluate", "tracking", str(folder), "--tracker", "ncc"]) == 0
+    assert "toy: 2 of 6 pictures have no true box and are left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
