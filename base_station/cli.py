@@ -20,9 +20,9 @@ from base_station.configuration import config_file, read_settings
 from base_station.console.launcher import ConsoleSettings
 from base_station.console_option import watching_console
 from base_station.discovery import find_robots
-from base_station.errors import StationError
+from base_station.errors import EXIT_INTERRUPTED, StationError
 from base_station.evaluation.evaluate_command import Evaluate, evaluate
-from base_station.evaluation.overlap import read_results, read_truth, score_boxes
+from base_station.evaluation.overlap import has_box, read_results, read_truth, score_boxes
 from base_station.landmarks_command import Landmarks, landmarks
 from base_station.recording.compare_command import Compare, compare
 from base_station.recording.export_command import Export, export
@@ -63,7 +63,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
+    """Returns the exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
     console = Console(stderr=True)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # of a file that is no video we speak ourselves
     arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
@@ -97,7 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print("\n".join(tracker_names()), flush=True)
         return EXIT_DONE
     except KeyboardInterrupt:
-        return EXIT_DONE
+        if isinstance(command, Run) or (isinstance(command, Replay) and command.console):
+            return EXIT_DONE  # to drive and to watch have no other end
+        return _interrupted(console)
     except BrokenPipeError:  # whoever read the output has enough of it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
@@ -124,6 +126,11 @@ def _read(arguments: Sequence[str]) -> Any:
     return read_settings_of(COMMANDS[name], rest, f"base-station {name}", **default)
 
 
+def _interrupted(console: Console) -> int:
+    console.print("base-station: interrupted", style="red", highlight=False)
+    return EXIT_INTERRUPTED
+
+
 def _failed(error: StationError, console: Console) -> int:
     console.print(f"base-station: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
     return EXIT_USAGE if error.usage else EXIT_FAILED
@@ -145,6 +152,11 @@ def _score(command: Score) -> None:
         raise StationError("There are no frames to compare.")
     if len(found) != len(truth):
         print(f"comparing the first {frames} frames ({len(found)} results, {len(truth)} true boxes)", file=sys.stderr)
+    known = int(has_box(truth[:frames]).sum())
+    if known == 0:
+        raise StationError(f"{command.truth} has no true box for any of {frames} frames.")
+    if known < frames:
+        print(f"{frames - known} of {frames} frames have no true box and are left out", file=sys.stderr)
     print(json.dumps(dataclasses.asdict(score_boxes(found[:frames], truth[:frames])), indent=2))
 
 

@@ -1,5 +1,8 @@
 """Failures of the station that a person can mend."""
 
+EXIT_INTERRUPTED = 130
+"""As a shell says it of Ctrl-C (128 and the signal's number): what was asked for is not there."""
+
 
 class StationError(Exception):
     """The text is what happened, then what to do. `usage` marks a mistake on the command line (exit code 2)."""

@@ -19,6 +19,7 @@ from tyro.conf import arg
 from base_station.errors import StationError
 from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
 from base_station.link import Link
+from base_station.output_files import check_output
 from base_station.scale import Scale, scale_from_distance, scale_from_width
 from base_station.session import LinkSettings
 from base_station.types import Box, Frame, TrackerResult, TrackingState
@@ -148,10 +149,15 @@ def _learn(action: Learn) -> None:
 
     if action.target is not None and action.place:
         raise StationError("--place is the whole view: leave out --target.", usage=True)
+    _check_name(action.name)
+    check_output("--memory", action.memory)
     asked = parse_box(action.target) if action.target is not None else None
     scale_of(Box(0, 0, 1, 1), _camera(1, 1, 60), width_m=action.target_width_m, distance_m=action.learned_distance_m)
     kept = read_landmarks(action.memory) if action.memory.exists() else []
     frame, operators = _picture(action.source)
+    if asked is not None and asked.clipped(frame.camera.width, frame.camera.height) is None:
+        size = f"{frame.camera.width}x{frame.camera.height}"
+        raise StationError(f"--target {action.target} lies outside of the picture, which has {size} px.", usage=True)
     box = asked if asked is not None or action.place else operators
     scale = scale_of(box, frame.camera, width_m=action.target_width_m, distance_m=action.learned_distance_m)
     memory = LandmarkMemory()
@@ -164,6 +170,15 @@ def _learn(action: Learn) -> None:
     write_landmarks(action.memory, memory.landmarks)
     how = "learned anew, and replaced," if action.name in {landmark.name for landmark in kept} else "learned"
     print(f"{how} {action.name!r} ({_what(box)}); {action.memory} holds {_count(len(memory))}")
+
+
+def _check_name(name: str) -> None:
+    from base_station.trackers.ztransform.landmark import check_name
+
+    try:
+        check_name(name)
+    except ValueError as error:
+        raise StationError(f"{error}.", usage=True) from error
 
 
 def _forget(action: Forget) -> None:
@@ -276,7 +291,8 @@ def _read(path: Path, number: int) -> np.ndarray:
     if path.is_dir():
         names = sorted(p for p in path.iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg", ".pgm", ".bmp"))
         if number > len(names):
-            raise StationError(f"{path} holds {len(names)} pictures, there is no number {number}.", usage=True)
+            many = f"{len(names)} picture{'s' if len(names) != 1 else ''}"
+            raise StationError(f"{path} holds {many}, there is no number {number}.", usage=True)
         path, number = names[number - 1], 1
     if not path.is_file():
         raise StationError(f"There is no picture {path}.", usage=True)

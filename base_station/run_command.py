@@ -8,7 +8,6 @@ import logging
 import math
 import queue
 import signal
-import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -44,6 +43,7 @@ from base_station.session import LinkSettings
 from base_station.station import Station, StationSettings, Step
 from base_station.terminal import pressed_keys
 from base_station.trackers.base import Surveyor
+from base_station.trackers.own import FAILURES, close_tracker, told
 from base_station.trackers.registry import DEFAULT_TRACKER
 from base_station.types import Box
 from base_station.watcher import Kit
@@ -301,7 +301,7 @@ def _station(
     make = KitMaker(memory=run.memory, target_width_m=run.target_width_m, learned_distance_m=run.learned_distance_m)
     with ExitStack() as making:
         kit = _kit(make, run.tracker if run.landmark is None else LANDMARK + run.landmark)
-        making.callback(kit.tracker.close)
+        making.callback(close_tracker, kit.tracker)
         shadow = _kit(make, run.shadow) if run.shadow is not None else None
         station = Station(
             link,
@@ -357,12 +357,9 @@ def _drive(station: Station) -> None:
         station.run()
     except StationError:
         raise
-    except Exception as error:
+    except FAILURES as error:
         # A tracker of the user's own may fail in any way: the station has sent a stop; say where it failed.
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise StationError(
-            f"Stopped the robot: {type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})."
-        ) from error
+        raise StationError(f"Stopped the robot: {told(error)}.") from error
 
 
 def _conclude(

@@ -21,6 +21,7 @@ from base_station.link import Link
 from base_station.orders import Order
 from base_station.sockets import LinkLost
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import close_tracker
 from base_station.types import Box, Frame, TrackerResult
 from base_station.watcher import Kit, Watcher
 from base_station.workshop import Workshop
@@ -193,7 +194,7 @@ class Station:
     def _unwanted(self, work: Future[Kit | str | None]) -> None:
         """Made, but too late."""
         if work.exception() is None and isinstance(kit := work.result(), Kit):
-            _close(kit.tracker)
+            close_tracker(kit.tracker)
 
     def _wait(self, without_frames_s: float) -> None:
         """No frame came. A run of limited length does not wait for ever for a robot that went."""
@@ -334,7 +335,7 @@ class Station:
         return f"{name} is remembered as it looks now{told}"
 
     def _retire(self, tracker: Tracker) -> None:
-        self._workshop.submit(lambda: _close(tracker))
+        self._workshop.submit(lambda: close_tracker(tracker))
 
     def _notice(self, text: str, level: int = logging.WARNING) -> None:
         self._notices.append(text)
@@ -354,10 +355,3 @@ class Station:
         over = self.settings.duration_s is not None and frame.time_s - self._first_s >= self.settings.duration_s
         if over or self._frames == self.settings.max_frames:
             self._stopping = True
-
-
-def _close(tracker: Tracker) -> None:
-    try:
-        tracker.close()
-    except Exception as error:  # a user's own tracker may fail here too
-        log.warning("the tracker did not close cleanly: %s: %s", type(error).__name__, error)

@@ -15,6 +15,7 @@ from base_station.geometry import PinholeCamera
 from base_station.rows import Rows, united
 from base_station.scale import Scale
 from base_station.trackers.base import Tracker, WantsRows
+from base_station.trackers.own import checked, close_tracker
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 ScaleMaker = Callable[[Box | None, PinholeCamera], Scale | None]
@@ -53,7 +54,7 @@ class Watcher:
         *,
         shadow: Kit | None = None,
         target_rows: int | None = None,
-        retire: Callable[[Tracker], None] = lambda tracker: tracker.close(),
+        retire: Callable[[Tracker], None] = close_tracker,
     ) -> None:
         self._kit, self._shadow, self._target_rows, self._retire = kit, shadow, target_rows, retire
         self._next: Kit | None = None
@@ -121,7 +122,7 @@ class Watcher:
             except ValueError as error:
                 return TrackerResult(state=TrackingState.INITIALIZING, reason=str(error))
             self._shadow_learned = True
-        return _checked(tracker, tracker.update(frame))
+        return checked(tracker, tracker.update(frame))
 
     def wanted_rows(self) -> Rows | None:
         """What serves both trackers; to learn, the whole frame is needed (None)."""
@@ -174,7 +175,7 @@ class Watcher:
     def _result(self, frame: Frame) -> TrackerResult:
         if self.complaint and not self.learned:
             return TrackerResult(state=TrackingState.INITIALIZING, reason=self.complaint)
-        result = _checked(self.tracker, self.tracker.update(frame))
+        result = checked(self.tracker, self.tracker.update(frame))
         return self._scale.measured(result) if self._scale is not None else result
 
 
@@ -187,11 +188,3 @@ def _rows_of(tracker: Tracker) -> Rows | None:
         kind = type(tracker).__name__
         raise StationError(f"{kind}.wanted_rows returned {rows!r:.60}, not two whole rows or None: the run ends here.")
     return rows
-
-
-def _checked(tracker: Tracker, result: object) -> TrackerResult:
-    """A tracker of the user's own may return anything."""
-    if not isinstance(result, TrackerResult):
-        kind = type(tracker).__name__
-        raise StationError(f"{kind}.update returned {type(result).__name__}, not a TrackerResult: the run ends here.")
-    return result

@@ -29,6 +29,7 @@ from base_station.evaluation.tracking_command import (
     score_tracker,
 )
 from base_station.output_files import write_json
+from base_station.trackers.own import close_tracker
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker
 
 PROG = "benchmark-otb"
@@ -65,7 +66,7 @@ def _run(command: Benchmark, arguments: Sequence[str]) -> None:
     names = [name.strip() for name in command.trackers.split(",") if name.strip()]
     for name in names:
         try:
-            make_tracker(name).close()
+            close_tracker(make_tracker(name))
         except ValueError as error:
             raise StationError(str(error), usage=True) from error
     recordings = find_sequences(command.folder, command.max_frames)

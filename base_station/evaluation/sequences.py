@@ -2,13 +2,15 @@
 
 A sequence is a folder with `img/*.jpg` (or png) and `groundtruth_rect.txt`. The tracker learns the first true box; that
 box counts as its answer to the first picture. Every further picture needs a box: when a tracker is LOST, the box that
-it gave last stands for it, and the picture is counted in `lost_frames`. Learning is not in the times.
+it gave last stands for it, and the picture is counted in `lost_frames`. A picture without a true box is shown, and not
+compared. Learning is not in the times.
 """
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -17,9 +19,10 @@ import cv2
 import numpy as np
 
 from base_station.errors import StationError
-from base_station.evaluation.overlap import read_truth, score_boxes
+from base_station.evaluation.overlap import has_box, read_truth, score_boxes
 from base_station.geometry import PinholeCamera
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import FAILURES, checked, told
 from base_station.types import Box, Frame, TrackingState
 
 TRUTH_FILE, IMAGE_FOLDER = "groundtruth_rect.txt", "img"
@@ -82,7 +85,7 @@ class TrackerFollower:
 
     def next(self, image: np.ndarray) -> Box | None:
         """Update with the next frame."""
-        result = self._tracker.update(self._frame(image))
+        result = checked(self._tracker, self._tracker.update(self._frame(image)))
         return result.box if result.state is TrackingState.TRACKING else None
 
     def _frame(self, image: np.ndarray) -> Frame:
@@ -108,34 +111,84 @@ def find_sequences(folder: Path, max_frames: int | None = None) -> list[Recordin
 
 def _sequence(folder: Path, max_frames: int | None) -> Recording:
     images = folder / IMAGE_FOLDER
-    pictures = sorted(path for path in images.glob("*") if path.suffix.lower() in SUFFIXES)
+    pictures = in_order(path for path in images.glob("*") if path.suffix.lower() in SUFFIXES)
     if not pictures:
         raise StationError(f"{images} has no pictures ({', '.join(SUFFIXES)}).", usage=True)
     truth = read_truth(folder / TRUTH_FILE)
     frames = min(len(pictures), len(truth), max_frames or len(truth))
     if frames < 2:
-        raise StationError(f"{folder} has {frames} pictures with a true box; at least 2 are needed.", usage=True)
+        raise StationError(
+            f"{folder} has {counted(frames, 'picture')} with a true box; at least 2 are needed.", usage=True
+        )
+    check_numbers(pictures, len(truth))
     name = folder.resolve().name
-    if not (np.isfinite(truth[0]).all() and (truth[0, 2:] > 0).all()):
+    known = has_box(truth[:frames])
+    if not known[0]:
         raise StationError(f"{folder / TRUTH_FILE}: the first line is no box to learn.")
     differ = len(pictures) != len(truth) and frames == min(len(pictures), len(truth))
-    note = f"{len(pictures)} pictures and {len(truth)} true boxes; the first {frames} are compared" if differ else ""
-    return Recording(name=name, pictures=pictures[:frames], truth=truth[:frames], note=note)
+    notes = [f"{len(pictures)} pictures and {len(truth)} true boxes; the first {frames} are compared"] if differ else []
+    if not known.all():
+        notes.append(f"{frames - known.sum()} of {frames} pictures have no true box and are left out")
+    return Recording(name=name, pictures=pictures[:frames], truth=truth[:frames], note="; ".join(notes))
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """By the numbers that their names end with, if all have one (2 before 10), else by name."""
+    found = sorted(paths)
+    numbers = _numbers(found)
+    return found if numbers is None else [found[at] for at in np.argsort(numbers, kind="stable")]
+
+
+def check_numbers(pictures: Sequence[Path], boxes: int) -> None:
+    """Raises StationError when pictures are missing in the middle, so that it is not told which box is whose. Whatever
+    the first number is, the first box is the first picture's; as many boxes as pictures belong to them one by one."""
+    frames = min(len(pictures), boxes)
+    numbers = _numbers(pictures)
+    if numbers is None or len(pictures) == boxes:
+        return
+    gap = next((at for at in range(1, frames) if numbers[at] != numbers[at - 1] + 1), None)
+    if gap is not None:
+        raise StationError(
+            f"{pictures[gap - 1].parent}: after {pictures[gap - 1].name} comes {pictures[gap].name}, and there are "
+            f"{counted(boxes, 'true box', 'true boxes')} for {counted(len(pictures), 'picture')}: which box belongs to "
+            "which picture cannot be told. Put the missing pictures back, or take out their lines."
+        )
+
+
+def _numbers(pictures: Sequence[Path]) -> list[int] | None:
+    """That the names end with, after the same beginning; None where they do not tell one each."""
+    parts = [re.fullmatch(r"(.*?)([0-9]{1,12})", path.stem) for path in pictures]
+    named = [(part[1], int(part[2])) for part in parts if part is not None]
+    if len(named) != len(pictures) or len({begin for begin, _ in named}) != 1:
+        return None
+    numbers = [number for _, number in named]
+    return numbers if len(set(numbers)) == len(numbers) else None
+
+
+def counted(number: int, one: str, several: str = "") -> str:
+    """ "1 picture", "2 pictures"."""
+    return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def run_sequence(sequence: Recording, follower: Follower, on_frame: Callable[[], None] = lambda: None) -> SequenceScore:
-    """Raises StationError when the first box cannot be learned or a picture cannot be read."""
+    """Raises StationError when the first box cannot be learned, a picture cannot be read, or the follower fails."""
     first = Box(*sequence.truth[0].tolist())
+    image = _read(sequence.pictures[0], follower.flags)
     try:
-        follower.start(_read(sequence.pictures[0], follower.flags), first)
+        follower.start(image, first)
     except ValueError as error:
         raise StationError(f"{sequence.name}: the first box cannot be learned: {error}.") from error
+    except FAILURES as error:
+        raise _failed(sequence, sequence.pictures[0], error) from error
     on_frame()
     boxes, times_ms, lost = [first], [], 0
     for path in sequence.pictures[1:]:
         image = _read(path, follower.flags)
         begin = time.perf_counter_ns()
-        box = follower.next(image)
+        try:
+            box = follower.next(image)
+        except FAILURES as error:
+            raise _failed(sequence, path, error) from error
         times_ms.append((time.perf_counter_ns() - begin) / 1e6)
         lost += box is None
         boxes.append(box or boxes[-1])
@@ -152,6 +205,12 @@ def run_sequence(sequence: Recording, follower: Follower, on_frame: Callable[[],
         ms_p95=float(np.percentile(times_ms, 95)),
         lost_frames=lost,
     )
+
+
+def _failed(sequence: Recording, path: Path, error: BaseException) -> StationError:
+    if isinstance(error, StationError):
+        return error
+    return StationError(f"{sequence.name}: the tracker failed at {path.name}: {told(error)}.")
 
 
 def _read(path: Path, flags: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import tyro
 
-from base_station.errors import StationError
+from base_station.errors import EXIT_INTERRUPTED, StationError
 
 Options = TypeVar("Options")
 
@@ -21,7 +21,7 @@ def run_tool(
 ) -> int:
     """Parse `arguments` (None: the command line's) into options of this dataclass and call `run` with both.
 
-    Returns the exit code: 0 done, 1 failed or interrupted, 2 wrong usage.
+    Returns the exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
     """
     try:
         options = tyro.cli(kind, prog=prog, args=arguments, config=(tyro.conf.OmitArgPrefixes,))
@@ -30,7 +30,8 @@ def run_tool(
     try:
         run(options, sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
-        return 1
+        print(f"{prog}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
     except (StationError, OSError) as error:
         print(f"{prog}: {error}", file=sys.stderr)
         return 2 if isinstance(error, StationError) and error.usage else 1

@@ -27,6 +27,7 @@ from base_station.evaluation.sequences import (
     run_sequence,
 )
 from base_station.output_files import check_output, write_json
+from base_station.trackers.own import close_tracker
 from base_station.trackers.registry import DEFAULT_TRACKER, make_tracker
 
 PLAIN_WIDTH = 120
@@ -96,8 +97,10 @@ def score_tracker(name: str, recordings: Sequence[Recording], on_frame: Callable
                     tracker = make_tracker(name)
                 except ValueError as error:
                     raise StationError(str(error), usage=True) from error
-                scores.append(run_sequence(recording, TrackerFollower(tracker), on_frame))
-                tracker.close()
+                try:
+                    scores.append(run_sequence(recording, TrackerFollower(tracker), on_frame))
+                finally:
+                    close_tracker(tracker)
                 if recording.note:
                     print(f"{recording.name}: {recording.note}", file=sys.stderr)
     finally:

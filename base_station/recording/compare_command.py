@@ -25,6 +25,7 @@ from base_station.recording.plot import check_picture, plot_series
 from base_station.recording.replay import one_thread, replay
 from base_station.recording.series import Series, TrackerFigures, figures, paired
 from base_station.recording.sources import Source, TargetTruth, open_source
+from base_station.trackers.own import close_tracker
 
 MOST_TRACKERS = 16
 RECORDED = "recorded"
@@ -114,7 +115,7 @@ def _try(names: Sequence[str], kits: KitMaker) -> None:
     """An unknown tracker is known before the others have run for minutes."""
     for name in names:
         try:
-            kits(name).tracker.close()
+            close_tracker(kits(name).tracker)
         except ValueError as error:
             raise StationError(str(error), usage=True) from error
 

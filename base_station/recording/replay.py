@@ -5,11 +5,9 @@ frames, and no robot.
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 from threadpoolctl import threadpool_limits
@@ -20,6 +18,7 @@ from base_station.recording.reader import Recording
 from base_station.recording.sources import RecordedRun, Source, SourceFrame
 from base_station.station import Step
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import FAILURES, told
 from base_station.trackers.registry import make_tracker
 from base_station.types import Frame, TrackerResult
 from base_station.watcher import Kit, Sighting, Watcher
@@ -123,12 +122,8 @@ def _looked(watcher: Watcher, frame: Frame) -> tuple[Sighting, TrackerResult | N
         return seen, watcher.look_in_shadow(frame, seen)
     except StationError:
         raise
-    except Exception as error:  # a tracker of the user's own may fail in any way
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise StationError(
-            f"The tracker failed at frame {frame.number}: {type(error).__name__}: {error} "
-            f"({Path(place.filename).name}, line {place.lineno})."
-        ) from error
+    except FAILURES as error:
+        raise StationError(f"The tracker failed at frame {frame.number}: {told(error)}.") from error
 
 
 @contextmanager

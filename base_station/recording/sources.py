@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from base_station.errors import StationError
-from base_station.evaluation.overlap import read_truth
-from base_station.evaluation.sequences import IMAGE_FOLDER, TRUTH_FILE
+from base_station.evaluation.overlap import has_box, read_truth
+from base_station.evaluation.sequences import IMAGE_FOLDER, TRUTH_FILE, check_numbers, counted, in_order
 from base_station.evaluation.slam.sequence import PICTURE_SUFFIXES, SlamSequence, read_gray, read_sequence
 from base_station.geometry import PinholeCamera
 from base_station.orders import Order
@@ -187,7 +187,7 @@ class Pictures:
             image, self._scale = _shrunk(whole, self._width)
             self._camera = self._camera_of(image, self._scale)
             if self._target is None and self._boxes is not None and order:
-                order = (Order.learn(_box(self._boxes[0] * self._scale)),)
+                order = (Order.learn(_first_box(self._boxes, self._scale)),)
             frame = Frame(image=image, number=number, time_s=time_s, camera=self._camera, connection=self.name)
             yield SourceFrame(frame=frame, orders=order)
             order = ()
@@ -207,31 +207,33 @@ class Pictures:
         """Of OTB's layout where the true box is, how large and how far aside, since the first picture."""
         notes = []
         if self._unread:
-            notes.append(f"{len(self._unread)} pictures cannot be read or differ in size; the first: {self._unread[0]}")
+            many = counted(len(self._unread), "picture")
+            notes.append(f"{many} cannot be read or differ in size; the first: {self._unread[0]}")
+        if self._boxes is not None and self._target is None and not (known := has_box(self._boxes)).all():
+            notes.append(f"{(~known).sum()} of {len(known)} true boxes are none, and their pictures are not compared")
         return Known(truth=self._truth(), notes=notes)
 
     def _truth(self) -> dict[int, TargetTruth]:
         if self._boxes is None or self._camera is None or self._target is not None:
             return {}
-        boxes, camera = self._boxes * self._scale, self._camera
+        places = np.flatnonzero(has_box(self._boxes))
+        boxes, camera = self._boxes[places] * self._scale, self._camera
         centers = boxes[:, 0] + (boxes[:, 2] - 1) / 2
-        sizes = np.sqrt(np.clip(boxes[:, 2] * boxes[:, 3], 0, None))
+        sizes = np.sqrt(boxes[:, 2] * boxes[:, 3])
         return {
-            place: TargetTruth(
+            int(place): TargetTruth(
                 bearing_rad=camera.bearing_rad(float(center)),
                 zoom=float(size / sizes[0]),
                 shift_px=float(center - centers[0]),
             )
-            for place, (center, size) in enumerate(zip(centers, sizes, strict=True))
-            if np.isfinite(center) and np.isfinite(size) and size > 0
+            for place, center, size in zip(places, centers, sizes, strict=True)
         }
 
 
-def _box(sides: np.ndarray) -> Box:
-    try:
-        return Box(*(float(side) for side in sides))
-    except ValueError as error:
-        raise StationError(f"{TRUTH_FILE}: the first line is no box to learn.") from error
+def _first_box(boxes: np.ndarray, scale: float) -> Box:
+    if not has_box(boxes[:1]).any():
+        raise StationError(f"{TRUTH_FILE}: the first line is no box to learn.")
+    return Box(*(float(side) for side in boxes[0] * scale))
 
 
 def _shrunk(image: np.ndarray, width: int | None) -> tuple[np.ndarray, float]:
@@ -247,7 +249,9 @@ def _shrunk(image: np.ndarray, width: int | None) -> tuple[np.ndarray, float]:
 def _folder(path: Path, target: Box | None, width: int | None) -> Pictures:
     name = path.resolve().name
     if (path / TRUTH_FILE).is_file():
-        paths, boxes = _images(path / IMAGE_FOLDER), read_truth(path / TRUTH_FILE)
+        paths, boxes = in_order(_images(path / IMAGE_FOLDER)), read_truth(path / TRUTH_FILE)
+        if target is None:
+            check_numbers(paths, len(boxes))
         return Pictures(name, paths, _even(paths), target=target, boxes=boxes[: len(paths)], width=width)
     layouts = ("rgb.txt", "mav0/cam0/data.csv", "cam0/data.csv", "times.txt")
     if any((path / listed).is_file() for listed in layouts):

@@ -8,12 +8,13 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from base_station.trackers.base import Tracker
+from base_station.trackers.own import FAILURES
 
 DEFAULT_TRACKER = "ztransform"
 
@@ -128,20 +129,26 @@ def _unknown_text(name: str) -> str:
 
 
 def _from_file(name: str) -> Tracker:
-    kind = class_in_file(name)
+    made: Tracker = made_from_file(name, ("learn", "update", "close"))
+    return made
+
+
+def made_from_file(name: str, methods: Sequence[str], *arguments: Any, **options: Any) -> Any:
+    """One of the class that `path/to/file.py:ClassName` names, made with these arguments, which has these methods.
+    Raises ValueError, which says what is missing or failed."""
+    kind = _class_in_file(name)
     try:
-        made = kind()
-    except Exception as error:
+        made = kind(*arguments, **options)
+    except FAILURES as error:
         said = f"{type(error).__name__}: {error}"
         raise ValueError(f"tracker {name!r}: {kind.__name__}() failed: {said}") from error
-    missing = [method for method in ("learn", "update", "close") if not callable(getattr(made, method, None))]
+    missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
         raise ValueError(f"tracker {name!r}: {kind.__name__} is not a tracker: it has no method {', '.join(missing)}")
     return made
 
 
-def class_in_file(name: str) -> type[Any]:
-    """The class that `path/to/file.py:ClassName` names. Raises ValueError, which says what is missing."""
+def _class_in_file(name: str) -> type[Any]:
     path_text, _, class_name = name.rpartition(":")
     path = Path(path_text)
     if not path.is_file():
@@ -167,7 +174,7 @@ def _import(path: Path, name: str) -> ModuleType:
     sys.modules[module_name] = module  # dataclasses in the file look themselves up there
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except FAILURES as error:
         del sys.modules[module_name]
         raise ValueError(f"tracker {name!r}: importing {path} failed: {type(error).__name__}: {error}") from error
     return module

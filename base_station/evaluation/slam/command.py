@@ -24,14 +24,17 @@ from base_station.evaluation.slam.map_files import write_colmap, write_ply
 from base_station.evaluation.slam.plots import plot_map, plot_trajectory
 from base_station.evaluation.slam.run import Outcome, PictureOutcome, Slam, SlamRun, figures, show
 from base_station.evaluation.slam.sequence import SlamSequence, read_sequence
-from base_station.evaluation.slam.trajectory import write_euroc, write_tum
+from base_station.evaluation.slam.trajectory import Trajectory, write_euroc, write_tum
+from base_station.evaluation.slam.trajectory_errors import LEAST_POSES, MOST_APART_S, associate
 from base_station.evaluation.thesis.plotting import require
 from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.output_files import write_json
-from base_station.trackers.registry import class_in_file
+from base_station.trackers.own import close_tracker
+from base_station.trackers.registry import made_from_file
 from base_station.trackers.slam.camera import SlamCamera
 
 OWN = "slam"
+SLAM_METHODS = ("track", "finish", "trajectory", "keyframes", "points", "statistics", "close")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,8 @@ class EvaluateSlam:
 def evaluate_slam(command: EvaluateSlam) -> None:
     """Measure, print, write. Raises StationError."""
     check_options(command.max_frames, command.json)
+    if command.seed < 0:
+        raise StationError(f"--seed must not be negative, not {command.seed}.", usage=True)
     if command.output is not None:
         require()
         _make(command.output)
@@ -71,6 +76,8 @@ def evaluate_slam(command: EvaluateSlam) -> None:
     found = figures(sequence, run) | {"tracker": command.tracker, "realtime": command.realtime, "machine": machine()}
     plain_console().print(figure_table(found))
     _tell_trouble(run.shown)
+    if (why := untimed(run.trajectory, sequence.truth)) is not None:
+        print(why, file=sys.stderr)
     if command.json is not None:
         write_json(command.json, found)
     if command.output is not None:
@@ -92,7 +99,7 @@ def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
             return show(sequence, slam, realtime=command.realtime, on_frame=lambda: progress.advance(task))
     finally:
         cv2.setNumThreads(threads)
-        slam.close()
+        close_tracker(slam)
 
 
 def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int) -> Slam:
@@ -105,10 +112,9 @@ def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int)
         text = f"{name!r} gives no trajectory: evaluate slam runs slam, or your own class as path/to/file.py:ClassName."
         raise StationError(text, usage=True)
     try:
-        kind = class_in_file(name)
+        made: Slam = made_from_file(name, SLAM_METHODS, camera, single_process=single_process, seed=seed)
     except ValueError as error:
         raise StationError(str(error), usage=True) from error
-    made: Slam = kind(camera, single_process=single_process, seed=seed)
     return made
 
 
@@ -143,7 +149,7 @@ def figure_table(found: dict[str, Any]) -> Table:
         "ATE, RMSE": _rounded(found["ate_rmse"], 4),
         "ATE of keyframes, of poses told at once": f"{_rounded(found['ate_keyframes_rmse'], 4)}, "
         f"{_rounded(found['ate_online_rmse'], 4)}",
-        "RPE, step to step": f"{_rounded(found['rpe_trans_rmse'], 4)}, {_rounded(found['rpe_rot_deg_rmse'], 3)}°",
+        "RPE, step to step": f"{_rounded(found['rpe_trans_rmse'], 4)}, {_rounded(found['rpe_rot_deg_rmse'], 3, '°')}",
         "ms a picture: median, p95, max": ", ".join(_rounded(found[f"ms_{part}"], 1) for part in ("p50", "p95", "max")),
         "keyframes, a second": f"{found['keyframes']}, {found['keyframes_per_s']:.2f}",
         "points": f"{found['points']}",
@@ -156,15 +162,32 @@ def figure_table(found: dict[str, Any]) -> Table:
     return table
 
 
-def _rounded(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _rounded(value: float | None, digits: int, unit: str = "") -> str:
+    return "-" if value is None else f"{value:.{digits}f}{unit}"
+
+
+def untimed(found: Trajectory, truth: Trajectory | None) -> str | None:
+    """Why there is nothing to measure the poses against, although there are some and a truth; None when there is."""
+    if truth is None or not len(found):
+        return None
+    matched = len(associate(found.times_s, truth.times_s))
+    if matched >= LEAST_POSES:
+        return None
+    if matched:
+        have = f"{matched} of {len(found)}; {LEAST_POSES} are needed"
+        return f"No errors: poses that have a true one within {MOST_APART_S} s: {have}."
+    return (
+        f"No errors: none of the {len(found)} poses has a true one within {MOST_APART_S} s: are both in the same clock "
+        f"and unit? The poses' times begin with {found.times_s[0]:.3f} s, the true ones' with {truth.times_s[0]:.3f} s."
+    )
 
 
 def _tell_trouble(shown: Sequence[PictureOutcome]) -> None:
     """Pictures that were missing, and why nothing was tracked, if nothing was."""
     unreadable = [one.reason for one in shown if one.outcome is Outcome.UNREADABLE]
     if unreadable:
-        print(f"{len(unreadable)} pictures were passed over: {unreadable[0]}", file=sys.stderr)
+        many = f"{len(unreadable)} pictures were passed over; the first:" if len(unreadable) > 1 else "Passed over:"
+        print(f"{many} {unreadable[0]}", file=sys.stderr)
     if all(one.outcome is not Outcome.TRACKING for one in shown):
         last = next((one.reason for one in reversed(shown) if one.reason), "no reason given")
         print(f"No picture was tracked: {last}", file=sys.stderr)

@@ -16,9 +16,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from base_station.errors import StationError
 from base_station.evaluation.slam.sequence import SlamSequence, read_gray
 from base_station.evaluation.slam.trajectory import Trajectory
 from base_station.evaluation.slam.trajectory_errors import errors
+from base_station.trackers.own import FAILURES, told
 from base_station.trackers.slam.sim3 import inverse
 from base_station.trackers.slam.types import SlamFrame, SlamStatistics
 from base_station.types import TrackingState
@@ -97,7 +99,7 @@ def show(
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
 ) -> SlamRun:
-    """Show every picture. The system is not closed."""
+    """Show every picture. The system is not closed. Raises StationError when it fails."""
     due = sequence.times_s - sequence.times_s[0]
     shown: list[PictureOutcome] = []
     online: list[tuple[float, np.ndarray]] = []
@@ -118,7 +120,7 @@ def show(
         if realtime and early_s > 0:
             sleep(float(early_s))
         before = clock()
-        frame = slam.track(image, time_s)
+        frame = _tracked(slam, image, time_s, path.name)
         ms = (clock() - before) * 1e3
         shown.append(
             PictureOutcome(
@@ -128,17 +130,36 @@ def show(
         if frame.cam_from_world is not None:
             online.append((time_s, inverse(frame.cam_from_world)))
     before = clock()
-    slam.finish()
-    return SlamRun(
-        shown=shown,
-        online=Trajectory.of(online),
-        trajectory=Trajectory.of(slam.trajectory()),
-        keyframes=Trajectory.of(slam.keyframes()),
-        points=np.asarray(slam.points(), float).reshape(-1, 3),
-        statistics=slam.statistics(),
-        finish_s=clock() - before,
-        memory_mib=memory_mib(),
-    )
+    try:
+        slam.finish()
+        return SlamRun(
+            shown=shown,
+            online=Trajectory.of(online),
+            trajectory=Trajectory.of(slam.trajectory()),
+            keyframes=Trajectory.of(slam.keyframes()),
+            points=np.asarray(slam.points(), float).reshape(-1, 3),
+            statistics=slam.statistics(),
+            finish_s=clock() - before,
+            memory_mib=memory_mib(),
+        )
+    except StationError:
+        raise
+    except FAILURES as error:
+        raise StationError(f"The tracker failed after the last picture: {told(error)}.") from error
+
+
+def _tracked(slam: Slam, image: np.ndarray, time_s: float, name: str) -> SlamFrame:
+    """A system of the user's own may fail in any way, and return anything. Raises StationError."""
+    try:
+        frame: object = slam.track(image, time_s)
+    except StationError:
+        raise
+    except FAILURES as error:
+        raise StationError(f"The tracker failed at {name}: {told(error)}.") from error
+    if not isinstance(frame, SlamFrame):
+        kind = type(slam).__name__
+        raise StationError(f"{kind}.track returned {type(frame).__name__}, not a SlamFrame: the run ends here.")
+    return frame
 
 
 def figures(sequence: SlamSequence, run: SlamRun) -> dict[str, Any]:

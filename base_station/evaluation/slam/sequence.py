@@ -70,20 +70,22 @@ def read_sequence(folder: Path, *, camera: str | None = None, max_frames: int | 
     if not folder.is_dir():
         raise StationError(f"There is no folder {folder}.", usage=True)
     own_camera = camera is None
+    named = _named_camera(camera)
     found = _read_layout(folder, own_camera)
     times = np.array(found.times_s[:max_frames])
     pictures = found.pictures[:max_frames]
     if len(pictures) < LEAST_PICTURES:
-        raise StationError(f"{folder} lists {len(pictures)} pictures; at least {LEAST_PICTURES} are needed.")
+        many = f"{len(pictures)} picture{'s' if len(pictures) != 1 else ''}"
+        raise StationError(f"{folder} lists {many}; at least {LEAST_PICTURES} are needed.", usage=True)
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise StationError(f"{folder}: the times of the pictures must rise.")
     width, height = _size(folder, pictures)
-    calibration = found.camera if own_camera else _named_camera(camera)
+    calibration = found.camera if own_camera else named
     if calibration is None:
         source = f"assumed: {np.degrees(2 * np.arctan(width / 2 / SlamCamera.with_fov(width, height).fx)):.1f} degrees"
         shown = SlamCamera.with_fov(width, height)
     else:
-        source, shown = calibration.source, calibration.camera(width, height)
+        source, shown = calibration.source, _fitted(calibration, width, height, named=not own_camera)
     return SlamSequence(
         name=folder.resolve().name, layout=found.layout, pictures=pictures, times_s=times, camera=shown,
         camera_source=source, truth=found.truth,
@@ -100,7 +102,20 @@ def read_gray(path: Path) -> np.ndarray | None:
 
 
 def _named_camera(camera: str | None) -> CameraFile | None:
-    return None if camera is None or camera == UNCALIBRATED else read_orbslam(Path(camera))
+    """What a flag says. Raises StationError: what is wrong with it is a mistake of usage."""
+    if camera is None or camera == UNCALIBRATED:
+        return None
+    try:
+        return read_orbslam(Path(camera))
+    except StationError as error:
+        raise StationError(f"--camera {error}", usage=True) from error
+
+
+def _fitted(calibration: CameraFile, width: int, height: int, *, named: bool) -> SlamCamera:
+    try:
+        return calibration.camera(width, height)
+    except StationError as error:
+        raise (StationError(f"--camera {error}", usage=True) if named else error) from error
 
 
 def _size(folder: Path, pictures: Sequence[Path]) -> tuple[int, int]:

@@ -120,7 +120,7 @@ def read_lines(path: Path) -> list[str]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise StationError(f"{path} is too large to be read ({path.stat().st_size >> 20} MiB).")
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise StationError(f"{path} cannot be read ({error.strerror}).") from error
     return [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
@@ -136,7 +136,10 @@ def _table(path: Path, columns: int, *, separator: str | None) -> np.ndarray:
         except ValueError:
             rows.append([])
         if len(rows[-1]) != columns or not np.isfinite(rows[-1]).all():
-            raise StationError(f"{path}, entry {number}: {columns} numbers are expected, not {line[:60]!r}.")
+            apart = "spaces" if separator is None else "commas"
+            raise StationError(
+                f"{path}, entry {number}: {columns} numbers are expected, with {apart} between them, not {line[:60]!r}."
+            )
     if not rows:
         raise StationError(f"{path} holds no poses.")
     return np.array(rows)

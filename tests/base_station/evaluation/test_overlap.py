@@ -55,15 +55,26 @@ def test_a_frame_without_a_box_overlaps_by_nothing_but_counts():
     assert result.auc == pytest.approx(10 / 21)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e300, -1e300])
+def test_a_frame_without_a_true_box_is_left_out(wrong):
+    box = [10.0, 10.0, 20.0, 20.0]
+    found = score_boxes(np.array([box, box, box]), np.array([box, [wrong, 10, 20, 20], [10, 10, 0, 0]]))
+    assert (found.frames, found.mean_iou, found.precision20) == (1, 1.0, 1.0)
+    with pytest.raises(ValueError, match="no true box"):
+        score_boxes(np.array([box]), np.array([[wrong, 10, 20, 20]]))
+
+
 @pytest.mark.parametrize("shapes", [((2, 4), (3, 4)), ((2, 3), (2, 3)), ((0, 4), (0, 4)), ((4,), (4,))])
 def test_boxes_that_do_not_match_in_number_are_refused(shapes):
     with pytest.raises(ValueError, match="both must be"):
         score_boxes(np.zeros(shapes[0]), np.zeros(shapes[1]))
 
 
-@pytest.mark.parametrize("text", ["1,2,3,4\n5,6,7,8\n", "1\t2\t3\t4\n5 6  7 8", "1, 2, 3, 4\r\n\r\n5,6,7,8.0\r\n"])
+@pytest.mark.parametrize(
+    "text", ["1,2,3,4\n5,6,7,8\n", "1\t2\t3\t4\n5 6  7 8", "1, 2, 3, 4\r\n\r\n5,6,7,8.0\r\n", "\ufeff1,2,3,4\n5,6,7,8"]
+)
 def test_truth_is_read_whatever_parts_the_numbers(tmp_path, text):
-    (tmp_path / "truth.txt").write_text(text)
+    (tmp_path / "truth.txt").write_text(text, encoding="utf-8")
     assert read_truth(tmp_path / "truth.txt").tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
 
 
@@ -71,8 +82,16 @@ def test_truth_is_read_whatever_parts_the_numbers(tmp_path, text):
 def test_a_line_without_four_numbers_is_no_truth(tmp_path, text):
     """The last one has twelve numbers, as three boxes have, in lines of three."""
     (tmp_path / "truth.txt").write_text(text)
-    with pytest.raises(StationError, match="four numbers a line"):
+    with pytest.raises(StationError, match=r"four numbers a line are expected, line [12] is '"):
         read_truth(tmp_path / "truth.txt")
+
+
+def test_what_is_no_text_is_told_without_codecs(tmp_path):
+    (tmp_path / "truth.txt").write_bytes(bytes(range(256)))
+    for read in (read_truth, read_results):
+        with pytest.raises(StationError, match="is no text") as caught:
+            read(tmp_path / "truth.txt")
+        assert "codec" not in str(caught.value)
 
 
 def test_results_are_read_with_gaps_where_there_was_no_box(tmp_path):

@@ -154,6 +154,9 @@ def test_evaluate_writes_several_and_their_mean(tmp_path, capsys):
         (lambda folder: (folder / "groundtruth_rect.txt").write_text("1,2,30,40\n"), 2, "at least 2 are needed"),
         (lambda folder: (folder / "groundtruth_rect.txt").write_text("900,2,30,40\n" * 9), 1, "first box cannot be"),
         (lambda folder: (folder / "img" / "0003.png").write_bytes(b"x"), 1, "0003.png cannot be read"),
+        (lambda folder: (folder / "img" / "0003.png").unlink(), 1, "after 0002.png comes 0004.png"),
+        (lambda folder: (folder / "groundtruth_rect.txt").write_text("1e300,2,3,4\n1,2,3,4\n"), 1, "no box to learn"),
+        (lambda folder: (folder / "groundtruth_rect.txt").write_text("1,2,3,4\n"), 2, "has 1 picture with"),
     ],
 )  # fmt: skip
 def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys, damage, code, said):
@@ -163,6 +166,43 @@ def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys, damage, code, sai
     error = capsys.readouterr().err
     assert said in error
     assert "Traceback" not in error
+
+
+def rename(folder, names):
+    for path, name in zip(sorted(folder.iterdir()), names, strict=True):
+        path.rename(folder / f"new-{name}")
+    for path in folder.iterdir():
+        path.rename(folder / path.name.removeprefix("new-"))
+
+
+@pytest.mark.parametrize(
+    ("names", "truths"),
+    [
+        ([f"{number:04d}.png" for number in range(300, 312)], 12),
+        ([f"{number:04d}.png" for number in range(300, 312)], 9),  # some of OTB's truths are shorter
+        ([f"{number:04d}.png" for number in range(300, 312)], 20),  # or longer
+        ([f"{number}.png" for number in range(1, 13)], 9),
+        ([f"{2 * number:04d}.png" for number in range(12)], 12),  # every second one, with a box each
+        ([f"{name}.png" for name in "abcdefghijkl"], 9),
+    ],
+)
+def test_pictures_are_taken_by_their_numbers_whatever_the_first_is(tmp_path, names, truths):
+    folder = write_sequence(tmp_path / "toy", 12)
+    rename(folder / "img", names)
+    (folder / "groundtruth_rect.txt").write_text("40,30,60,48\n" * truths)
+    assert [path.name for path in find_sequences(folder)[0].pictures] == names[:truths]
+
+
+def test_pictures_without_a_true_box_are_shown_and_not_compared(tmp_path, capsys):
+    folder = write_sequence(tmp_path / "toy", 6)
+    lines = (folder / "groundtruth_rect.txt").read_text().splitlines()
+    lines[2], lines[4] = "NaN,NaN,NaN,NaN", "1e300,30,60,48"
+    (folder / "groundtruth_rect.txt").write_text("\n".join(lines))
+    (sequence,) = find_sequences(folder)
+    score = run_sequence(sequence, Scripted([Box(40 + STEP_PX * number, 30, 60, 48) for number in range(1, 6)]))
+    assert (score.frames, score.precision20, score.auc) == (4, 1.0, pytest.approx(20 / 21))
+    assert cli.main(["evaluate", "tracking", str(folder), "--tracker", "ncc"]) == 0
+    assert "toy: 2 of 6 pictures have no true box and are left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -179,6 +219,29 @@ def test_wrong_options_are_wrong_usage(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
     if options[0] != "--tracker":
         assert otb_command.main([folder, *options]) == 2
+
+
+@pytest.mark.parametrize(
+    ("learn", "update", "said"),
+    [
+        ("raise RuntimeError('oops')", "pass", "the tracker failed at 0001.png: RuntimeError: oops (mine.py, line 2)"),
+        ("pass", "1 / 0", "the tracker failed at 0002.png: ZeroDivisionError: division by zero (mine.py, line 3)"),
+        ("pass", "raise SystemExit(3)", "the tracker failed at 0002.png: SystemExit: 3 (mine.py, line 3)"),
+        ("pass", "pass", "Mine.update returned NoneType, not a TrackerResult"),
+    ],
+)
+def test_a_tracker_of_ones_own_that_fails_is_one_sentence_and_is_closed(
+    tmp_path, capsys, caplog, learn, update, said
+):  # fmt: skip
+    own = tmp_path / "mine.py"
+    own.write_text(
+        f"class Mine:\n    def learn(self, frame, target): {learn}\n    def update(self, frame): {update}\n"
+        "    def close(self): 1 / 0\n"
+    )
+    folder = write_sequence(tmp_path / "toy", 3)
+    assert cli.main(["evaluate", "tracking", str(folder), "--tracker", f"{own}:Mine"]) == 1
+    assert said in capsys.readouterr().err
+    assert "did not close cleanly: ZeroDivisionError" in caplog.text
 
 
 def test_trackers_are_compared_on_the_same_sequences(tmp_path, capsys):

@@ -72,6 +72,26 @@ def test_a_target_of_ones_own_is_learned_and_there_is_no_truth(otb: Path):
     assert known.truth == {}
 
 
+def test_a_gap_in_the_pictures_leaves_no_truth_to_tell(otb: Path):
+    missing = sorted((otb / "img").iterdir())[5]
+    missing.unlink()
+    with pytest.raises(StationError, match="which box belongs to which picture cannot be told"):
+        open_source(otb)
+    assert len(run(otb, target=Box(100, 60, 120, 100))[0]) == 11
+
+
+def test_a_box_that_is_none_is_no_truth(otb: Path):
+    lines = (otb / "groundtruth_rect.txt").read_text().splitlines()
+    lines[3], lines[7] = "1e300,60,120,100", "nan,nan,nan,nan"
+    (otb / "groundtruth_rect.txt").write_text("\n".join(lines))
+    known = run(otb)[1]
+    assert sorted(set(range(12)) - set(known.truth)) == [3, 7]
+    assert known.notes == ["2 of 12 true boxes are none, and their pictures are not compared"]
+    (otb / "groundtruth_rect.txt").write_text("")
+    with pytest.raises(StationError, match="first line is no box"):
+        run(otb)
+
+
 def test_plain_pictures_are_a_place_to_learn(tmp_path: Path):
     steps, known = run(write_pictures(tmp_path / "plain", 5))
     assert steps[0].step.orders == (Order.learn(None),)
@@ -191,6 +211,19 @@ def test_a_tracker_of_ones_own_that_fails_is_named_with_its_line(otb: Path, tmp_
     )
     with pytest.raises(StationError, match=r"frame 1: ZeroDivisionError: .*\(mine.py, line 3\)"):
         run(otb, tracker=f"{own}:Mine")
+
+
+def test_a_tracker_that_cannot_be_closed_buries_no_cause(
+    otb: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "class Mine:\n    def learn(self, frame, target): pass\n    def update(self, frame): pass\n"
+        "    def close(self): raise OSError('stuck')\n"
+    )
+    with pytest.raises(StationError, match=r"Mine\.update returned NoneType"):
+        run(otb, f"{own}:Mine")
+    assert "the tracker did not close cleanly: OSError: stuck (mine.py, line 4)" in caplog.text
 
 
 def test_agreement_is_told_bit_for_bit_and_in_numbers():

@@ -34,6 +34,8 @@ def test_unknown_name_lists_the_valid_ones_and_guesses():
         ("import nonsuch_module\n", "Mine", "ModuleNotFoundError"),
         ("class Mine:\n    def __init__(self, size):\n        pass\n", "Mine", r"Mine\(\) failed: TypeError"),
         ("x = = 1\n", "Mine", "SyntaxError"),
+        ("import sys\nsys.exit(3)\n", "Mine", "importing .* failed: SystemExit: 3"),
+        ("class Mine:\n    def __init__(self):\n        raise SystemExit('bye')\n", "Mine", "failed: SystemExit: bye"),
     ],
 )
 def test_a_file_without_a_tracker_says_so(tmp_path, source, kind, text):

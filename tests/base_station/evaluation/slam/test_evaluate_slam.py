@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from base_station import cli
 from base_station.evaluation.slam.map_files import write_colmap, write_ply
 from base_station.evaluation.slam.run import Outcome, figures, memory_mib, show
 from base_station.evaluation.slam.sequence import read_sequence
-from base_station.evaluation.slam.trajectory import Trajectory, read_euroc, read_tum
+from base_station.evaluation.slam.trajectory import Trajectory, read_euroc, read_tum, write_tum
 from base_station.trackers.slam.camera import SlamCamera
 from tests.base_station.evaluation.slam import sequences
 from tests.base_station.evaluation.slam.sequences import (
@@ -140,7 +141,7 @@ def test_missing_and_changed_pictures_are_frames_without_a_pose(tmp_path, capsys
     found = json.loads(file.read_text())
     assert (found["unreadable_frames"], found["lost_frames"], found["longest_gap_frames"]) == (2, 1, 1)
     assert found["tracked_frames"] == FRAMES - 6
-    assert f"2 pictures were passed over: {pictures[10].name} cannot be read" in capsys.readouterr().err
+    assert f"2 pictures were passed over; the first: {pictures[10].name} cannot be read" in capsys.readouterr().err
 
 
 def test_a_run_without_a_pose_still_writes_everything(tmp_path, capsys):
@@ -149,7 +150,9 @@ def test_a_run_without_a_pose_still_writes_everything(tmp_path, capsys):
     found = json.loads(file.read_text())
     assert (found["tracked_share"], found["ate_rmse"], found["ate_poses"]) == (0, None, 0)
     assert (out / "trajectory.png").is_file() and (out / "map.ply").is_file()
-    assert "No picture was tracked: too little motion" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "No picture was tracked: too little motion" in told.err and "No errors" not in told.err
+    assert re.search(r"RPE, step to step +-, -", told.out) and "°" not in told.out
 
 
 @pytest.mark.parametrize(
@@ -159,13 +162,26 @@ def test_a_run_without_a_pose_still_writes_everything(tmp_path, capsys):
         (["--tracker", "no/such.py:Slam"], "there is no file", 2),
         (["--max-frames", "1"], "--max-frames must be at least 2", 2),
         (["--json", "nowhere/score.json"], "--json nowhere/score.json: there is no folder", 2),
-        (["--camera", "nowhere/camera.yaml"], "nowhere/camera.yaml cannot be read", 1),
+        (["--camera", "nowhere/camera.yaml"], "--camera nowhere/camera.yaml cannot be read", 2),
+        (["--seed", "-1"], "--seed must not be negative", 2),
     ],
 )
 def test_wrong_options_are_one_sentence(tmp_path, capsys, options, said, code):
     folder = write_tum_sequence(tmp_path / "toy", 3)
     assert evaluate(folder, *options) == code
     assert said in capsys.readouterr().err
+
+
+def test_a_truth_of_other_times_is_told(tmp_path, capsys):
+    folder = write_tum_sequence(tmp_path / "toy", 6)
+    truth = read_tum(folder / "groundtruth.txt")
+    write_tum(folder / "groundtruth.txt", Trajectory(truth.times_s + 800, truth.world_from_cam))
+    assert evaluate(folder) == 0
+    write_tum(folder / "groundtruth.txt", Trajectory(truth.times_s[-2:], truth.world_from_cam[-2:]))
+    assert evaluate(folder) == 0
+    told = capsys.readouterr().err
+    assert "poses that have a true one within 0.02 s: 2 of 3; 3 are needed" in told
+    assert "none of the 3 poses has a true one within 0.02 s: are both in the same clock" in told
 
 
 def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys):
@@ -175,7 +191,7 @@ def test_what_is_no_sequence_is_one_sentence(tmp_path, capsys):
     assert "There is no folder" in error and "is no sequence" in error and "Traceback" not in error
 
 
-def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch):
+def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch, capsys):
     closed = []
     monkeypatch.setattr("base_station.evaluation.slam.command.make_slam", lambda *_, **__: Failing(closed))
 
@@ -189,9 +205,32 @@ def test_the_system_is_closed_whatever_happens(tmp_path, monkeypatch):
         def close(self):
             self.closed.append(True)
 
-    with pytest.raises(RuntimeError, match="a defect"):
-        evaluate(write_tum_sequence(tmp_path / "toy", 3))
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3)) == 1
     assert closed == [True]
+    assert "The tracker failed at " in (error := capsys.readouterr().err) and "RuntimeError: a defect (" in error
+
+
+@pytest.mark.parametrize(
+    ("method", "said", "code"),
+    [
+        ("__init__(self, camera, **options): raise ValueError('no')", "Mine() failed: ValueError: no", 2),
+        ("track(self, image, time_s): pass", "Mine.track returned NoneType, not a SlamFrame", 1),
+        ("trajectory(self): return [(0.0, None), None]", "The tracker failed after the last picture: TypeError", 1),
+        ("close(self): 1 / 0", "", 0),
+    ],
+)
+def test_a_system_of_ones_own_that_fails_is_one_sentence(tmp_path, capsys, method, said, code):
+    own = tmp_path / "mine.py"
+    own.write_text(f"from {sequences.__name__} import ConstantMotion\nclass Mine(ConstantMotion):\n    def {method}\n")
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3), tracker=f"{own}:Mine") == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_system_that_lacks_methods_is_wrong_usage(tmp_path, capsys):
+    own = tmp_path / "mine.py"
+    own.write_text("class Mine:\n    def __init__(self, camera, **options): pass\n    def track(self, i, t): pass\n")
+    assert evaluate(write_tum_sequence(tmp_path / "toy", 3), tracker=f"{own}:Mine") == 2
+    assert "it has no method finish, trajectory, keyframes" in capsys.readouterr().err
 
 
 def test_memory_is_that_of_this_process_and_its_children():
