@@ -121,7 +121,8 @@ class SlamSystem:
 
     def track(self, image: np.ndarray, time_s: float, *, wait: bool = False) -> SlamFrame:
         """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason. `wait`: until the
-        mapper has finished with the pictures before (lockstep), as if it needed no time."""
+        mapper has finished with the pictures before (lockstep), as if it needed no time. Raises StationError when the
+        mapper's process has failed or ended, with what is known of it: the map would stand still."""
         self._counts.frames += 1
         self.last_picture = None
         began = time.perf_counter()
@@ -368,7 +369,7 @@ class SlamSystem:
 
     def finish(self) -> None:
         """Let the mapper work off its queue and adjust the whole map; then `trajectory` and `keyframes` are final,
-        until the next picture."""
+        until the next picture. Raises StationError when the mapper's process has failed or ended."""
         deadline_s = time.monotonic() + FINISH_WITHIN_S
         self._wait_for_mapper(deadline_s)
         if self._unsettled and self._link.alive() and not self._link.waiting():
