@@ -18,7 +18,7 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
-from base_station.trackers.slam.keyframe_decision import share_seen, wants_keyframe
+from base_station.trackers.slam.keyframe_decision import is_where, share_seen, wants_keyframe
 from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle
@@ -26,7 +26,7 @@ from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, Ma
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
-from base_station.trackers.slam.se3 import inverse, relative
+from base_station.trackers.slam.se3 import inverse, relative, transform
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
 from base_station.trackers.slam.types import Closure, SlamFrame, SlamStatistics
@@ -104,6 +104,8 @@ class SlamSystem:
         self._first: int | None = None
         """Of a map that has just begun, the keyframe to find the next picture by."""
         self._keyframe_frame = 0
+        self._kept: _Tracked | None = None
+        """Where the last keyframe was taken."""
         self._last_located_s = self._lost_since_s = 0.0
         self._lost_frames = 0
         self.last_picture: Picture | None = None
@@ -263,6 +265,7 @@ class SlamSystem:
             matches=found.matches,
             share=self._share_seen(picture, reference),
             waiting=self._link.waiting(),
+            stands=self._stands(found),
         )
         if kept:
             self._keep(picture, where)
@@ -278,8 +281,17 @@ class SlamSystem:
         world, least = self._map, self.settings.keyframes.least_matches
         return share_seen(world.point_of[reference], picture.point_of, world.point_alive, world.observed, least)
 
+    def _stands(self, found: Located) -> bool:
+        """Whether the camera is still where the last keyframe was taken."""
+        kept, world = self._kept, self._map
+        if kept is None or world.component[world.living(kept.reference)] != self._component:
+            return False
+        before = world.pose_by(kept.reference, kept.cam_from_reference, kept.size)
+        seen = transform(found.cam_from_world, world.xyz[found.point_of[found.point_of >= 0]])
+        return is_where(self.settings.keyframes, found.cam_from_world, before, float(np.median(seen[:, 2])))
+
     def _keep(self, picture: Picture, where: _Tracked) -> None:
-        self._keyframe_frame = self._counts.frames
+        self._keyframe_frame, self._kept = self._counts.frames, where
         self._send(picture.features, picture.point_of.copy(), where, *self._tracker.take_counts())
 
     def insert(self, time_s: float, features: Features, point_of: np.ndarray, cam_from_world: np.ndarray) -> int:
@@ -336,7 +348,7 @@ class SlamSystem:
                 if update.event == "new map":
                     self._component, self._first = self._awaited.component, self._awaited.rows[1]
                     self._tracker.forget()
-                    self._keyframe_frame = self._counts.frames
+                    self._keyframe_frame, self._kept = self._counts.frames, None
                 self._awaited = None
             for stage, took_ms in update.timings_ms.items():
                 self._counts.timings_ms.setdefault(f"mapper: {stage}", []).append(took_ms)

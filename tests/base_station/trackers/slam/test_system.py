@@ -71,6 +71,18 @@ def test_it_follows_and_is_the_same_every_time():
     assert all(np.array_equal(one, two) for (_, one), (_, two) in zip(*runs, strict=True))
 
 
+def test_a_camera_that_stands_takes_no_keyframes():
+    rng = np.random.default_rng(3)
+    picture = ROOM.picture(ALONG[-1]).astype(float)
+    with start() as slam:
+        drive(slam, ALONG)
+        pictures = [np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8) for _ in range(45)]
+        stood = [slam.track(one, (50 + k) * FRAME_S) for k, one in enumerate(pictures)]
+        assert {frame.state for frame in stood} == {TrackingState.TRACKING}
+        assert sum(frame.keyframe for frame in stood) <= 1  # the first: it has moved since the last one
+        assert any(frame.keyframe for frame in drive(slam, ALONG[::-1][:15], 95 * FRAME_S))
+
+
 def test_covered_carried_away_and_found_again():
     elsewhere = standing(-0.3, -0.9, 0.52)
     with start() as slam:
