@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 import weakref
+from collections import deque
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 
@@ -38,6 +39,10 @@ FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
 LOST_SMALL_FRAMES = 3
+MOST_POSES = 100_000
+"""Of the trajectory, about an hour's; when there are more, every second of the older half is dropped."""
+MOST_TIMINGS = 20_000
+"""Of a stage, the latest."""
 JITTER_S = 0.1
 """By which pictures of a live camera may come early."""
 MOST_AHEAD_S, LONGEST_WAIT_S, LOOK_EVERY_S = 5.0, 30.0, 0.5
@@ -52,7 +57,10 @@ class _Counts:
     merges: int = 0
     relocalizations: int = 0
     closures: list[Closure] = field(default_factory=list)
-    timings_ms: dict[str, list[float]] = field(default_factory=dict)
+    timings_ms: dict[str, deque[float]] = field(default_factory=dict)
+
+    def note(self, stage: str, took_ms: float) -> None:
+        self.timings_ms.setdefault(stage, deque(maxlen=MOST_TIMINGS)).append(took_ms)
 
 
 @dataclass(frozen=True)
@@ -259,6 +267,8 @@ class SlamSystem:
         if not doubt:
             self._counts.tracked += 1
             self._trajectory.append(where)
+            if len(self._trajectory) > MOST_POSES:
+                del self._trajectory[: MOST_POSES // 2 : 2]
         kept = wants_keyframe(
             self.settings.keyframes,
             frames_since=self._counts.frames - self._keyframe_frame,
@@ -351,12 +361,12 @@ class SlamSystem:
                     self._keyframe_frame, self._kept = self._counts.frames, None
                 self._awaited = None
             for stage, took_ms in update.timings_ms.items():
-                self._counts.timings_ms.setdefault(f"mapper: {stage}", []).append(took_ms)
+                self._counts.note(f"mapper: {stage}", took_ms)
         if updates:
             self._places.tidy()
 
     def _time(self, stage: str, began: float) -> None:
-        self._counts.timings_ms.setdefault(stage, []).append((time.perf_counter() - began) * 1e3)
+        self._counts.note(stage, (time.perf_counter() - began) * 1e3)
 
     def features_of(self, image: np.ndarray) -> Features:
         """The features of a picture, as the map's lens has them; it is not tracked."""
@@ -399,7 +409,8 @@ class SlamSystem:
         return int(np.bincount(component).argmax()) if len(component) else NONE
 
     def trajectory(self) -> list[tuple[float, np.ndarray]]:
-        """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose."""
+        """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose. Of a
+        run of hours the older poses are thinned out (`MOST_POSES`)."""
         largest = self._largest()
         return [
             (one.time_s, inverse(self._map.pose_by(one.reference, one.cam_from_reference, one.size)))
@@ -432,7 +443,7 @@ class SlamSystem:
             relocalizations=self._counts.relocalizations,
             closures=tuple(self._counts.closures),
             camera=Lens(*self._map.lens).of(self._camera),
-            timings_ms=self._counts.timings_ms,
+            timings_ms={stage: list(took_ms) for stage, took_ms in self._counts.timings_ms.items()},
         )
 
     def close(self) -> None:

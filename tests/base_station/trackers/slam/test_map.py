@@ -148,6 +148,14 @@ def test_shared_points_are_counted_as_plain_numpy_counts_them():
     assert found[0, 3] == found[1, 1] == 0 < found[0, 0]
 
 
+def test_a_number_that_the_mapper_refuses_is_forgotten_by_the_copy():
+    world, copy = a_map(), Map(FEATURES, SCALES)
+    copy.features[5] = world.features[4]  # as the tracker keeps them until the mapper has the keyframe
+    world.skip_keyframe(5)
+    copy.apply(world.take_changes())
+    assert same(world, copy) and 5 not in copy.features and not copy.alive[5]
+
+
 def test_points_know_from_where_and_how_far_they_are_seen():
     world = a_map()
     centers = inverse(world.poses[:5])[:, :3, 3]
