@@ -1,15 +1,20 @@
 """Which pictures become keyframes: those that see much less of the map than their reference does.
 
+A camera that stands sees nothing new: the map does not grow meanwhile, however long that is. Only when it sees less
+than its keyframe did is another one taken, which then is what is seen.
 Many are taken and many are culled again (Mur-Artal et al. 2015, section V-E): a keyframe too many costs some time, one
 too few costs the track.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+
+from base_station.trackers.slam.se3 import camera_centers, rotation_angle_rad
 
 SURE_KEYFRAMES = 3
 """A point that so many keyframes see is one that is found again."""
@@ -31,19 +36,35 @@ class KeyframeSettings:
     """Keyframes that may wait for the mapper."""
     least_matches: int = 15
     """A picture that sees fewer points is no keyframe."""
+    least_step: float = 0.01
+    """Of the median depth, since the last keyframe: from nearer by no point's depth can be told (`new_points.py`). A
+    camera that has moved less..."""
+    least_turn_rad: float = math.radians(1.0)
+    """...and has turned less stands."""
 
 
-def wants_keyframe(settings: KeyframeSettings, *, frames_since: int, matches: int, share: float, waiting: int) -> bool:
+def wants_keyframe(
+    settings: KeyframeSettings, *, frames_since: int, matches: int, share: float, waiting: int, stands: bool
+) -> bool:
     """Whether to keep this picture.
 
     `share`: of the reference keyframe's points, those that it sees; `waiting`: keyframes that the mapper has not
-    finished.
+    finished; `stands`: the camera has not moved since the last keyframe (`is_where`).
     """
     if matches < settings.least_matches or frames_since < settings.least_frames or waiting > settings.queue:
         return False
     if waiting:
-        return share < settings.urgent_share
+        return share < settings.urgent_share and not stands
+    if stands:  # what it sees less of is hidden, or in another light: that becomes known, but not in every picture
+        return share < settings.seen_share and frames_since >= settings.most_frames
     return share < settings.seen_share or frames_since >= settings.most_frames
+
+
+def is_where(settings: KeyframeSettings, cam_from_world: np.ndarray, before: np.ndarray, depth: float) -> bool:
+    """Whether a camera is still where one (`before`, cam_from_world as well) was. `depth`: the median of its points."""
+    step = float(np.linalg.norm(camera_centers(cam_from_world) - camera_centers(before)))
+    turn_rad = rotation_angle_rad(cam_from_world[:3, :3] @ before[:3, :3].T)
+    return step < settings.least_step * depth and turn_rad < settings.least_turn_rad
 
 
 def share_seen(

@@ -32,21 +32,21 @@ class LocalMap:
 def local_map(world: Map, seen: np.ndarray, reference: int) -> LocalMap:
     """Around the points seen in the picture (rows) and the reference keyframe of the last one."""
     reference, keyframes, points = _local_map(
-        world.point_of, world.shared, world.alive, world.component, world.point_alive, world.keyframe_count,
-        seen, reference,
+        world.point_of, world.shared.table, world.shared.place, world.alive, world.component, world.point_alive,
+        world.keyframe_count, seen, reference,
     )  # fmt: skip
     return LocalMap(int(reference), keyframes, points)
 
 
 @njit(cache=True, nogil=True)
-def _local_map(point_of, shared, alive, component, point_alive, count, seen, reference):
+def _local_map(point_of, shared, place, alive, component, point_alive, count, seen, reference):
     marked = np.zeros(len(point_alive), np.bool_)
     for point in seen:
         marked[point] = True
     asked = np.empty(1 + ASKED + LATEST, np.int64)
     taken = np.zeros(count, np.bool_)
     n = _take(asked, 0, 1, np.array([reference]), taken, alive)
-    n = _take(asked, n, n + ASKED, _neighbours(shared[reference], alive, count, reference), taken, alive)
+    n = _take(asked, n, n + ASKED, _neighbours(shared, place, alive, count, reference), taken, alive)
     for latest in range(max(0, count - LATEST), count):
         if component[latest] == component[reference]:
             n = _take(asked, n, n + 1, np.array([latest]), taken, alive)
@@ -60,7 +60,7 @@ def _local_map(point_of, shared, alive, component, point_alive, count, seen, ref
     keyframes = np.empty(KEPT, np.int64)
     taken[:] = False
     kept = _take(keyframes, 0, KEPT, asked[:n][order][votes[order] > 0], taken, alive)
-    kept = _take(keyframes, kept, KEPT, _neighbours(shared[reference], alive, count, reference), taken, alive)
+    kept = _take(keyframes, kept, KEPT, _neighbours(shared, place, alive, count, reference), taken, alive)
     points = np.empty(MOST_POINTS, np.int64)
     found = 0
     for keyframe in keyframes[:kept]:
@@ -73,13 +73,15 @@ def _local_map(point_of, shared, alive, component, point_alive, count, seen, ref
 
 
 @njit(cache=True, nogil=True)
-def _neighbours(shared, alive, count, keyframe):
+def _neighbours(shared, place, alive, count, keyframe):
     """As `Map.neighbours`, all of them: by how many points they share, those that share most first."""
     rows, weights, n = np.empty(count, np.int64), np.empty(count, np.int64), 0
     for row in range(count):
-        if alive[row] and row != keyframe and shared[row] > 0:
-            rows[n], weights[n] = row, shared[row]
-            n += 1
+        if alive[row] and row != keyframe and place[row] >= 0 and place[keyframe] >= 0:
+            weight = shared[place[keyframe], place[row]]
+            if weight > 0:
+                rows[n], weights[n] = row, weight
+                n += 1
     return rows[:n][np.argsort(-weights[:n], kind="mergesort")]
 
 

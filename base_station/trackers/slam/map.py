@@ -13,11 +13,14 @@ half-made change.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 
+from base_station.trackers.slam.covisibility import Covisibility, count_shared
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.popcount import hamming
 from base_station.trackers.slam.se3 import camera_centers, inverse
@@ -38,16 +41,15 @@ POINT_COLUMNS = (
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """Rows that changed, by column name; `shared`: rows of the covisibility table; `event`: what happened; `closure`:
-    the place that was recognised, if one was; `lens`: see `Map.lens`."""
+    """Rows that changed, by column name; `shared` (keyframes, alive): the points that they share with those `alive`;
+    `event`: what happened; `closure`: the place that was recognised, if one was; `lens`: see `Map.lens`."""
 
     keyframes: np.ndarray
     points: np.ndarray
     columns: dict[str, np.ndarray]
+    alive: np.ndarray
     shared: np.ndarray
-    features: dict[int, Features] = field(default_factory=dict)
     event: str = ""
-    counts: dict[str, int] = field(default_factory=dict)
     timings_ms: dict[str, float] = field(default_factory=dict)
     closure: Closure | None = None
     lens: tuple[float, float] = (1.0, 0.0)
@@ -79,8 +81,8 @@ class Map:
         """(keyframes, features): which point each feature shows."""
         self.octave_of = np.zeros((k, features_most), np.uint8)
         """(keyframes, features): the pyramid level of each feature."""
-        self.shared = np.zeros((k, k), np.int32)
-        """(keyframes, keyframes): how many points both see."""
+        self.shared = Covisibility()
+        """[one, two]: how many points both keyframes see."""
         self.features: dict[int, Features] = {}
         """Of the keyframes alive."""
         self.xyz = np.zeros((p, 3))
@@ -110,15 +112,24 @@ class Map:
         self, row: int, time_s: float, pose: np.ndarray, features: Features, point_of: np.ndarray, component: int
     ) -> None:
         """A keyframe in row `row`; numbers only go up. `point_of` (n,): the point each feature shows, or -1."""
-        while row >= len(self.poses):
-            self._grow_keyframes()
-        self.keyframe_count = max(self.keyframe_count, row + 1)
+        self._reserve(row)
+        self.shared.add(row)
         self.poses[row], self.time_s[row], self.component[row], self.alive[row] = pose, time_s, component, True
         self.features[row] = features
         self.point_of[row] = NONE
         self.point_of[row, : len(point_of)] = point_of
         self.octave_of[row, : len(features)] = features.octave
         self._keyframe_changed[row] = True
+
+    def skip_keyframe(self, row: int) -> None:
+        """There is no keyframe of this number, and there will be none."""
+        self._reserve(row)
+        self.mark(keyframes=row)
+
+    def _reserve(self, row: int) -> None:
+        while row >= len(self.poses):
+            self._grow_keyframes()
+        self.keyframe_count = max(self.keyframe_count, row + 1)
 
     def add_points(self, xyz: np.ndarray, descriptors: np.ndarray, born: int) -> np.ndarray:
         """Rows (n,) of new points (n, 3) that look like `descriptors` (n, 4), of the keyframe `born`'s component."""
@@ -136,10 +147,8 @@ class Map:
     def _grow_keyframes(self) -> None:
         for name in (*KEYFRAME_COLUMNS, "octave_of", "_keyframe_changed"):
             setattr(self, name, _doubled(getattr(self, name)))
-        size = len(self.shared)
-        shared = np.zeros((2 * size, 2 * size), np.int32)
-        shared[:size, :size] = self.shared
-        self.shared = shared
+        size = len(self.poses) // 2
+        self.shared.reserve(2 * size)
         self.point_of[size:], self.anchor[size:], self.component[size:] = NONE, NONE, NONE
         self.sizes[size:] = self.anchor_size[size:] = 1.0
 
@@ -173,10 +182,11 @@ class Map:
 
     def neighbours(self, keyframe: int, most: int, least_shared: int = 1) -> np.ndarray:
         """Keyframes alive that share points with this one, those that share most first."""
-        weights = np.where(self.alive[: self.keyframe_count], self.shared[keyframe, : self.keyframe_count], 0)
-        weights[keyframe] = 0
-        rows = np.flatnonzero(weights >= max(least_shared, 1))
-        return rows[np.argsort(-weights[rows], kind="stable")[:most]]
+        alive = self.keyframes_alive()
+        weights = self.shared.of(np.array([keyframe]), alive)[0]
+        enough = weights >= max(least_shared, 1)
+        rows, weights = alive[enough], weights[enough]
+        return rows[np.argsort(-weights, kind="stable")[:most]]
 
     def observations(self, keyframes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All that these keyframes see: rows of points, of keyframes, and indices of features, each (n,)."""
@@ -204,13 +214,24 @@ class Map:
         `size`: the keyframe's at the time when that relative pose was true.
         """
         relative = cam_from_keyframe.copy()
-        relative[:3, 3] *= self.sizes[keyframe] / size
-        while not self.alive[keyframe] and self.anchor[keyframe] != NONE:
-            relative = relative @ self.cam_from_anchor[keyframe]
-            anchor = int(self.anchor[keyframe])
-            relative[:3, 3] *= self.sizes[anchor] / self.anchor_size[keyframe]
-            keyframe = anchor
+        for row, before, grown in self._way(keyframe, size):
+            if before != NONE:
+                relative = relative @ self.cam_from_anchor[before]
+            relative[:3, 3] *= grown
+            keyframe = row
         return relative @ self.poses[keyframe]
+
+    def growth(self, keyframe: int, size: float) -> float:
+        """By how much a length about a keyframe has grown since the keyframe had this size; it may be culled by now."""
+        return math.prod(grown for _, _, grown in self._way(keyframe, size))
+
+    def _way(self, keyframe: int, size: float) -> Iterator[tuple[int, int, float]]:
+        """From a keyframe to the one alive that it is given by: each on the way, the one before (-1: none), and by how
+        much lengths have grown since they were given by it. Sizes of different keyframes cannot be compared."""
+        yield keyframe, NONE, float(self.sizes[keyframe]) / size
+        while not self.alive[keyframe] and self.anchor[keyframe] != NONE:
+            before, keyframe = keyframe, int(self.anchor[keyframe])
+            yield keyframe, before, float(self.sizes[keyframe] / self.anchor_size[before])
 
     def living(self, keyframe: int) -> int:
         """This keyframe, or what took its place."""
@@ -240,16 +261,9 @@ class Map:
 
     def recount(self, keyframes: np.ndarray) -> None:
         """Count anew with whom these keyframes share points."""
-        count = self.keyframe_count
-        seen = np.zeros(self.point_count + 1, np.bool_)
-        for row in keyframes:
-            mine = self.point_of[row]
-            mine = mine[mine >= 0]
-            seen[mine] = True
-            weights = seen[self.point_of[:count]].sum(axis=1, dtype=np.int32) if self.alive[row] else np.int32(0)
-            seen[mine] = False
-            self.shared[row, :count] = self.shared[:count, row] = weights
-            self.shared[row, row] = 0
+        rows, alive = np.asarray(keyframes, np.int64), self.keyframes_alive()
+        counted = rows[self.alive[rows]]
+        self.shared.set(counted, alive, count_shared(self.point_of, counted, alive, self.point_count))
         self.mark(keyframes=keyframes)
 
     def count_observed(self, points: np.ndarray) -> None:
@@ -270,9 +284,12 @@ class Map:
         becomes = np.arange(self.point_count + 1, dtype=np.int32)
         becomes[-1] = NONE
         becomes[points] = by
-        count = self.keyframe_count
-        rows = np.flatnonzero((becomes[self.point_of[:count]] != self.point_of[:count]).any(axis=1))
-        self.point_of[rows] = becomes[self.point_of[rows]]
+        alive = self.keyframes_alive()
+        before = self.point_of[alive]
+        after = becomes[before]
+        changed = (after != before).any(axis=1)
+        rows = alive[changed]
+        self.point_of[rows] = after[changed]
         self.see_each_point_once(rows)
         self.point_alive[points] = False
         self.replaced_by[points] = by
@@ -288,13 +305,17 @@ class Map:
         """A keyframe is no more; its pose is kept relative to `anchor`, so that the trajectory stays whole."""
         self.anchor[keyframe], self.anchor_size[keyframe] = anchor, self.sizes[anchor]
         self.cam_from_anchor[keyframe] = self.poses[keyframe] @ inverse(self.poses[anchor])
-        self.alive[keyframe] = False
         seen = self.point_of[keyframe]
         self.observed[seen[seen >= 0]] -= 1
-        self.mark(keyframes=keyframe, points=seen[seen >= 0])
+        self.mark(points=seen[seen >= 0])
+        self.drop_keyframe(keyframe)
+
+    def drop_keyframe(self, keyframe: int) -> None:
+        """A keyframe is no more, and nothing took its place."""
+        self.alive[keyframe] = False
         self.point_of[keyframe] = NONE
-        self.shared[keyframe] = 0
-        self.shared[:, keyframe] = 0
+        self.mark(keyframes=keyframe)
+        self.shared.remove(keyframe)
         self.features.pop(keyframe, None)
 
     # --- copies -----------------------------------------------------------------------------------------------------
@@ -307,16 +328,15 @@ class Map:
         self._point_changed[:] = False
         columns = {name: getattr(self, name)[keyframes] for name in KEYFRAME_COLUMNS}
         columns |= {name: getattr(self, name)[points] for name in POINT_COLUMNS}
+        alive = self.keyframes_alive()
         return MapUpdate(
-            keyframes, points, columns, self.shared[keyframes, : self.keyframe_count], event=event, lens=self.lens
+            keyframes, points, columns, alive, self.shared.of(keyframes, alive), event=event, lens=self.lens
         )
 
     def apply(self, update: MapUpdate) -> None:
         """Become as the Map that packed these changes."""
         if len(update.keyframes):
-            while update.keyframes[-1] >= len(self.poses) or update.shared.shape[1] > len(self.poses):
-                self._grow_keyframes()
-            self.keyframe_count = max(self.keyframe_count, int(update.keyframes[-1]) + 1)
+            self._reserve(int(update.keyframes[-1]))
         if len(update.points):
             while update.points[-1] >= len(self.xyz):
                 self._grow_points()
@@ -325,11 +345,13 @@ class Map:
             getattr(self, name)[update.keyframes] = update.columns[name]
         for name in POINT_COLUMNS:
             getattr(self, name)[update.points] = update.columns[name]
-        width = update.shared.shape[1]
-        self.shared[update.keyframes, :width] = update.shared
-        self.shared[:width, update.keyframes] = update.shared.T
-        for row in update.keyframes[~self.alive[update.keyframes]]:
-            self.features.pop(int(row), None)
+        lives = self.alive[update.keyframes]
+        for row in update.keyframes[~lives].tolist():
+            self.shared.remove(row)
+            self.features.pop(row, None)
+        for row in update.keyframes[lives].tolist():
+            self.shared.add(row)
+        self.shared.set(update.keyframes[lives], update.alive, update.shared[lives])
 
 
 def refresh_points(world: Map, points: np.ndarray, keyframes: np.ndarray) -> None:

@@ -124,7 +124,8 @@ class Mapper:
         began = time.perf_counter()
         world, settings = self.map, self._settings
         if not world.alive[new.reference] and world.anchor[new.reference] == NONE:
-            return self._changes("keyframe of a forgotten map", began)  # its map is gone
+            world.skip_keyframe(new.row)  # its map is gone; the tracker is to forget the picture, too
+            return self._changes("keyframe of a forgotten map", began)
         self._count(new)
         component = int(world.component[new.reference])
         pose = world.pose_by(new.reference, new.cam_from_reference, new.size)
@@ -180,9 +181,7 @@ class Mapper:
         began, world = time.perf_counter(), self.map
         world.remove_points(world.points_alive(component))
         for row in world.keyframes_alive(component):
-            world.alive[row] = False
-            world.features.pop(int(row), None)
-            world.mark(keyframes=int(row))
+            world.drop_keyframe(int(row))
         self._places.tidy()
         return self._changes("forgotten map", began)
 

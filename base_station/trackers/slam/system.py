@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 import weakref
+from collections import deque
 from dataclasses import dataclass, field, replace
 from types import TracebackType
 
@@ -18,7 +19,7 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
-from base_station.trackers.slam.keyframe_decision import share_seen, wants_keyframe
+from base_station.trackers.slam.keyframe_decision import is_where, share_seen, wants_keyframe
 from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle
@@ -26,7 +27,7 @@ from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, Ma
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
-from base_station.trackers.slam.se3 import inverse, relative
+from base_station.trackers.slam.se3 import inverse, relative, transform
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
 from base_station.trackers.slam.types import Closure, SlamFrame, SlamStatistics
@@ -38,6 +39,10 @@ FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
 LOST_SMALL_FRAMES = 3
+MOST_POSES = 100_000
+"""Of the trajectory, about an hour's; when there are more, every second of the older half is dropped."""
+MOST_TIMINGS = 20_000
+"""Of a stage, the latest."""
 JITTER_S = 0.1
 """By which pictures of a live camera may come early."""
 MOST_AHEAD_S, LONGEST_WAIT_S, LOOK_EVERY_S = 5.0, 30.0, 0.5
@@ -52,7 +57,10 @@ class _Counts:
     merges: int = 0
     relocalizations: int = 0
     closures: list[Closure] = field(default_factory=list)
-    timings_ms: dict[str, list[float]] = field(default_factory=dict)
+    timings_ms: dict[str, deque[float]] = field(default_factory=dict)
+
+    def note(self, stage: str, took_ms: float) -> None:
+        self.timings_ms.setdefault(stage, deque(maxlen=MOST_TIMINGS)).append(took_ms)
 
 
 @dataclass(frozen=True)
@@ -104,6 +112,8 @@ class SlamSystem:
         self._first: int | None = None
         """Of a map that has just begun, the keyframe to find the next picture by."""
         self._keyframe_frame = 0
+        self._kept: _Tracked | None = None
+        """Where the last keyframe was taken."""
         self._last_located_s = self._lost_since_s = 0.0
         self._lost_frames = 0
         self.last_picture: Picture | None = None
@@ -121,7 +131,8 @@ class SlamSystem:
 
     def track(self, image: np.ndarray, time_s: float, *, wait: bool = False) -> SlamFrame:
         """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason. `wait`: until the
-        mapper has finished with the pictures before (lockstep), as if it needed no time."""
+        mapper has finished with the pictures before (lockstep), as if it needed no time. Raises StationError when the
+        mapper's process has failed or ended, with what is known of it: the map would stand still."""
         self._counts.frames += 1
         self.last_picture = None
         began = time.perf_counter()
@@ -256,12 +267,15 @@ class SlamSystem:
         if not doubt:
             self._counts.tracked += 1
             self._trajectory.append(where)
+            if len(self._trajectory) > MOST_POSES:
+                del self._trajectory[: MOST_POSES // 2 : 2]
         kept = wants_keyframe(
             self.settings.keyframes,
             frames_since=self._counts.frames - self._keyframe_frame,
             matches=found.matches,
             share=self._share_seen(picture, reference),
             waiting=self._link.waiting(),
+            stands=self._stands(found),
         )
         if kept:
             self._keep(picture, where)
@@ -277,8 +291,17 @@ class SlamSystem:
         world, least = self._map, self.settings.keyframes.least_matches
         return share_seen(world.point_of[reference], picture.point_of, world.point_alive, world.observed, least)
 
+    def _stands(self, found: Located) -> bool:
+        """Whether the camera is still where the last keyframe was taken."""
+        kept, world = self._kept, self._map
+        if kept is None or world.component[world.living(kept.reference)] != self._component:
+            return False
+        before = world.pose_by(kept.reference, kept.cam_from_reference, kept.size)
+        seen = transform(found.cam_from_world, world.xyz[found.point_of[found.point_of >= 0]])
+        return is_where(self.settings.keyframes, found.cam_from_world, before, float(np.median(seen[:, 2])))
+
     def _keep(self, picture: Picture, where: _Tracked) -> None:
-        self._keyframe_frame = self._counts.frames
+        self._keyframe_frame, self._kept = self._counts.frames, where
         self._send(picture.features, picture.point_of.copy(), where, *self._tracker.take_counts())
 
     def insert(self, time_s: float, features: Features, point_of: np.ndarray, cam_from_world: np.ndarray) -> int:
@@ -335,15 +358,15 @@ class SlamSystem:
                 if update.event == "new map":
                     self._component, self._first = self._awaited.component, self._awaited.rows[1]
                     self._tracker.forget()
-                    self._keyframe_frame = self._counts.frames
+                    self._keyframe_frame, self._kept = self._counts.frames, None
                 self._awaited = None
             for stage, took_ms in update.timings_ms.items():
-                self._counts.timings_ms.setdefault(f"mapper: {stage}", []).append(took_ms)
+                self._counts.note(f"mapper: {stage}", took_ms)
         if updates:
             self._places.tidy()
 
     def _time(self, stage: str, began: float) -> None:
-        self._counts.timings_ms.setdefault(stage, []).append((time.perf_counter() - began) * 1e3)
+        self._counts.note(stage, (time.perf_counter() - began) * 1e3)
 
     def features_of(self, image: np.ndarray) -> Features:
         """The features of a picture, as the map's lens has them; it is not tracked."""
@@ -368,7 +391,7 @@ class SlamSystem:
 
     def finish(self) -> None:
         """Let the mapper work off its queue and adjust the whole map; then `trajectory` and `keyframes` are final,
-        until the next picture."""
+        until the next picture. Raises StationError when the mapper's process has failed or ended."""
         deadline_s = time.monotonic() + FINISH_WITHIN_S
         self._wait_for_mapper(deadline_s)
         if self._unsettled and self._link.alive() and not self._link.waiting():
@@ -386,7 +409,8 @@ class SlamSystem:
         return int(np.bincount(component).argmax()) if len(component) else NONE
 
     def trajectory(self) -> list[tuple[float, np.ndarray]]:
-        """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose."""
+        """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose. Of a
+        run of hours the older poses are thinned out (`MOST_POSES`)."""
         largest = self._largest()
         return [
             (one.time_s, inverse(self._map.pose_by(one.reference, one.cam_from_reference, one.size)))
@@ -419,7 +443,7 @@ class SlamSystem:
             relocalizations=self._counts.relocalizations,
             closures=tuple(self._counts.closures),
             camera=Lens(*self._map.lens).of(self._camera),
-            timings_ms=self._counts.timings_ms,
+            timings_ms={stage: list(took_ms) for stage, took_ms in self._counts.timings_ms.items()},
         )
 
     def close(self) -> None:

@@ -61,7 +61,7 @@ class MapTarget:
         """cam_from_learned 4x4, and the target's middle in the camera's coordinates."""
         learned_from_world = world.pose_by(self.keyframe, self.learned_from_keyframe, self.size)
         cam_from_learned = cam_from_world @ inverse(learned_from_world)
-        center = self.center * world.sizes[world.living(self.keyframe)] / self.size
+        center = self.center * world.growth(self.keyframe, self.size)
         return cam_from_learned, transform(cam_from_learned, center[None])[0]
 
 
@@ -161,7 +161,7 @@ def result_of(
 ) -> TrackerResult:  # fmt: skip
     """Bearing, zoom and the rest; also of a target that is out of the picture: the map knows where it is."""
     cam_from_learned, center = target.seen_from(world, cam_from_world)
-    learned_depth = float(target.center[2]) * float(world.sizes[world.living(target.keyframe)]) / target.size
+    learned_depth = float(target.center[2]) * world.growth(target.keyframe, target.size)
     x, y, depth = (float(value) for value in center)
     ahead = depth > NEAREST_DEPTH * learned_depth
     zoom = learned_depth / depth if ahead else None
@@ -212,7 +212,7 @@ def _pixel(point: Iterable[float], camera: PinholeCamera) -> tuple[float, float]
 
 def _view_angle_rad(target: MapTarget, world: Map, cam_from_learned: np.ndarray) -> float:
     """By how much the line of sight has turned about the learned camera's vertical."""
-    center = target.center * world.sizes[world.living(target.keyframe)] / target.size
+    center = target.center * world.growth(target.keyframe, target.size)
     sight = center - inverse(cam_from_learned)[:3, 3]
     turned = math.atan2(center[0], center[2]) - math.atan2(sight[0], sight[2])
     return math.remainder(turned, 2 * math.pi)

@@ -20,6 +20,7 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
+from base_station.trackers.slam.lens import Lens, through
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
@@ -63,6 +64,8 @@ class SlamTracker(PatchTracker):
         self._extract: Callable[[np.ndarray], Features]
         self._shown_at: Callable[[np.ndarray], np.ndarray]
         self._features: Features | None = None
+        self._lens = Lens()
+        """That they are free of, see `Map.lens`."""
         self._in_box: np.ndarray = np.empty(0, np.bool_)
         self._learned_center = (0.0, 0.0)
         self._target: MapTarget | None = None
@@ -98,7 +101,7 @@ class SlamTracker(PatchTracker):
         if slam is not self._slam:
             self._end_mapper()
             self._slam, self._camera = slam, camera
-        self._target, self._frames = None, 0
+        self._target, self._frames, self._lens = None, 0, Lens(*slam.map.lens)
         self._learned_row, self._learned_s, self._checks = NONE, frame.time_s, 0
         self._compass.start(frame, 0.0)
 
@@ -118,6 +121,7 @@ class SlamTracker(PatchTracker):
         seen = slam.track(frame.image, frame.time_s, wait=frame.stepped)
         pose = self._pose = seen.cam_from_world
         self._frames += 1
+        self._look_through(Lens(*slam.map.lens))
         if pose is not None:
             self._leave_other_map(slam)
             self._place(slam)
@@ -134,6 +138,13 @@ class SlamTracker(PatchTracker):
         if self._learned_row == NONE:  # its twin would be seen from the other side; which it is, moving will tell
             return replace(result, view_angle_rad=None, compass_rad=self._compass.update(frame))
         return self._with_compass(frame, result, heading_of(self._target, slam.map, pose))
+
+    def _look_through(self, lens: Lens) -> None:
+        """The learned picture as the map now knows the lens: it was found by adjusting the whole."""
+        if lens != self._lens and self._features is not None and self._camera is not None:
+            self._features = through(self._features, self._lens, lens, self._camera)
+            self._lens, self._target = lens, None  # the target's middle was the old lens's
+            self._frames = 1
 
     def _with_compass(self, frame: Frame, result: TrackerResult, heading_rad: float | None) -> TrackerResult:
         """The result with the heading: as the map or the learned view has it, which then sets the compass; else as the

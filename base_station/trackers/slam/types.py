@@ -46,7 +46,8 @@ class Closure:
 
 @dataclass(frozen=True, kw_only=True)
 class SlamStatistics:
-    """Counts since the start. `closures`: in order. `timings_ms`: of every stage, a list with one entry per run.
+    """Counts since the start. `closures`: in order. `timings_ms`: of every stage, a list with one entry per run,
+    of the latest 20000.
     `loops`: places of the same map that were recognised, verified and tied together; `loops_corrected`: those of them
     that left an error to spread. The others (kind "confirmed") were right already. `camera`:
     the one it was given, or what the whole map has made of it (`lens.py`); None where nothing is known of that."""

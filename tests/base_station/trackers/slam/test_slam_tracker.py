@@ -11,6 +11,7 @@ import pytest
 
 from base_station.geometry import PinholeCamera
 from base_station.trackers.slam.features import FeatureSettings
+from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.system import SlamSettings
 from base_station.trackers.slam.tracker import SlamTracker
 from base_station.types import Box, Frame, TrackingState
@@ -79,6 +80,24 @@ def test_a_target_out_of_sight_keeps_its_bearing(seen):
     assert true_bearing_rad(turned) > 0.6  # beyond the left border
     assert result.bearing_rad == pytest.approx(true_bearing_rad(turned), abs=0.045)
     assert result.box is None or result.box.clipped(320, 240) is not None
+
+
+def test_the_learned_picture_follows_the_lens_that_the_whole_map_finds(seen):
+    tracker, _ = seen
+    slam = tracker.slam
+    slam.finish()  # no older word of the lens is on its way
+    tracker.update(frame(path(49), 59))
+    learned = tracker._features
+    before, found = Lens(*slam.map.lens), Lens(1.02, 0.01)
+    for world in (slam.map, slam._link.mapper.map):
+        look_through(world, found, slam._camera)
+    tracker.update(frame(path(49), 60))
+    assert np.allclose(tracker._features.xy_px, through(learned, before, found, slam._camera).xy_px)
+    assert np.abs(tracker._features.xy_px - learned.xy_px).max() > 0.5
+    for world in (slam.map, slam._link.mapper.map):
+        look_through(world, before, slam._camera)
+    tracker.update(frame(path(49), 61))
+    assert np.abs(tracker._features.xy_px - learned.xy_px).max() < 0.01
 
 
 def test_a_calibrated_lens_is_taken_into_account():
