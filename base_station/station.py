@@ -131,6 +131,11 @@ class Station:
         """The one that steers now."""
         return self._watcher.tracker
 
+    @property
+    def trackers(self) -> list[Tracker]:
+        """The one that steers now, and its shadow."""
+        return self._watcher.trackers
+
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
         self._stopping = True

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import MapUpdate
-from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap, Settle
+from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap, Settle, TakeUp
 from base_station.trackers.slam.rehearsal import rehearse_mapping
 from base_station.trackers.slam.settings import SlamSettings
 
@@ -28,7 +28,7 @@ LOOK_EVERY_S = 0.5
 READY_WITHIN_S = 90
 READY_LOOKS = int(READY_WITHIN_S / LOOK_EVERY_S)
 READY = "ready"
-Work = NewMap | NewKeyframe | Forget | Settle
+Work = NewMap | NewKeyframe | Forget | Settle | TakeUp
 
 
 class MapperLink(Protocol):
@@ -79,6 +79,8 @@ def do(mapper: Mapper, work: Work, busy: Any = lambda: False) -> MapUpdate:
     """One piece of work."""
     if isinstance(work, NewMap):
         return mapper.begin(work)
+    if isinstance(work, TakeUp):
+        return mapper.take_up(work.saved)
     if isinstance(work, Settle):
         return mapper.settle(work.component)
     return mapper.forget(work.component) if isinstance(work, Forget) else mapper.insert(work, busy)

@@ -1,0 +1,49 @@
+"""`--map FILE`: SLAM goes on in the map of an earlier run, and leaves its own for the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from base_station.errors import StationError
+from base_station.output_files import check_output
+from base_station.trackers.base import KeepsMap, Tracker
+from base_station.trackers.registry import make_tracker
+
+MAPPING = "slam"
+
+
+def check_map(path: Path | None, names: Iterable[str | None]) -> None:
+    """Find mistakes of usage before anything is opened. `names`: of the trackers. Raises StationError."""
+    if path is None:
+        return
+    mapping = list(names).count(MAPPING)
+    if mapping == 0:
+        raise StationError(
+            f"--map goes with --tracker {MAPPING} or --shadow {MAPPING}: no other tracker has a map.", usage=True
+        )
+    if mapping > 1:
+        raise StationError(f"--map is for one {MAPPING}: leave out --shadow {MAPPING}, or --map.", usage=True)
+    check_output("--map", path)
+
+
+def trackers_with_map(path: Path | None, say: Callable[[str], None]) -> Callable[[str], Tracker]:
+    """As `make_tracker`, but with the map where the tracker has one; `say` gets a line about it."""
+    if path is None:
+        return make_tracker
+
+    def make(name: str) -> Tracker:
+        if name != MAPPING:
+            return make_tracker(name)
+        from base_station.trackers.slam.tracker import SlamTracker
+
+        return SlamTracker(map_file=path, say=say)
+
+    return make
+
+
+def keep_maps(trackers: Iterable[Tracker]) -> None:
+    """At the end, before they are closed. Raises StationError when a map cannot be written."""
+    for tracker in trackers:
+        if isinstance(tracker, KeepsMap):
+            tracker.keep_map()
