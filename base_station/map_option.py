@@ -45,5 +45,11 @@ def trackers_with_map(path: Path | None, say: Callable[[str], None]) -> Callable
 def keep_maps(trackers: Iterable[Tracker]) -> None:
     """At the end, before they are closed. Raises StationError when a map cannot be written."""
     for tracker in trackers:
-        if isinstance(tracker, KeepsMap):
+        if not isinstance(tracker, KeepsMap):
+            continue
+        try:
             tracker.keep_map()
+        except StationError:
+            raise
+        except Exception as error:  # after a tracker has failed, in any way, its map may be no good either
+            raise StationError(f"The map is not kept: {type(error).__name__}: {error}.") from error

@@ -42,7 +42,7 @@ class SavedMap:
     lens: tuple[float, float]
     scales: np.ndarray
     columns: dict[str, np.ndarray]
-    source: str = ""
+    source: str = "this run"
 
     @classmethod
     def of(cls, world: Map, camera: SlamCamera, least_keyframes: int) -> SavedMap | None:
@@ -121,21 +121,21 @@ class SavedMap:
         most = int(self.columns["feature_counts"].max(initial=0))
         if len(scales) != len(self.scales) or not np.allclose(scales, self.scales, rtol=1e-9) or most > settings.count:
             raise StationError(
-                f"The map in {self.source} is of other features (up to {most} a picture, on {len(self.scales)} levels;"
+                f"The map of {self.source} is of other features (up to {most} a picture, on {len(self.scales)} levels;"
                 f" here {settings.count} on {len(scales)}): map anew, into another file.",
                 usage=True,
             )
         before = self.camera
         if (camera.width_px, camera.height_px) != (before.width_px, before.height_px):
             raise StationError(
-                f"The map in {self.source} is of pictures of {before.width_px}x{before.height_px} px, and the camera's"
+                f"The map of {self.source} is of pictures of {before.width_px}x{before.height_px} px, and the camera's"
                 f" have {camera.width_px}x{camera.height_px}: take that size again, or give --map another file.",
                 usage=True,
             )
         off_px = _directions_off_px(before, camera)
         if off_px > MOST_OFF * camera.width_px:
             raise StationError(
-                f"The map in {self.source} is of another camera (focal length {before.fx:.0f} px, now {camera.fx:.0f};"
+                f"The map of {self.source} is of another camera (focal length {before.fx:.0f} px, now {camera.fx:.0f};"
                 f" directions differ by up to {off_px:.0f} px): take that calibration, or give --map another file.",
                 usage=True,
             )

@@ -88,13 +88,14 @@ def test_it_finds_itself_from_elsewhere_and_maps_on(mapped, single_process):
         assert keyframes and all(time_s >= 0.1 for time_s, _ in keyframes)
         assert counts.keyframes > len(before.columns["poses"]) - 3 and counts.points > len(before.columns["xyz"])
         after = slam.saved()
-        assert after is not None and after.told == f"{counts.keyframes} keyframes, {counts.points} points"
+        assert after is not None and len(after.columns["poses"]) == counts.keyframes
+        assert 0.95 * counts.points < len(after.columns["xyz"]) <= counts.points  # but those that nothing sees any more
     assert len(multiprocessing.active_children()) == children
 
 
 def test_what_it_maps_before_it_finds_itself_is_joined(mapped):
     file, *to_room = mapped
-    poses = aside(190, 430, 98)
+    poses = aside(190, 415, 92)
     with start(file) as slam:
         slam.track(np.zeros((240, 320), np.uint8), 0.0)
         frames = shown_to(slam, poses, 2.0)
