@@ -27,8 +27,11 @@ def check_map(path: Path | None, names: Iterable[str | None]) -> None:
     check_output("--map", path)
 
 
-def trackers_with_map(path: Path | None, say: Callable[[str], None]) -> Callable[[str], Tracker]:
-    """As `make_tracker`, but with the map where the tracker has one; `say` gets a line about it."""
+def trackers_with_map(
+    path: Path | None, say: Callable[[str], None], *, single_process: bool = False
+) -> Callable[[str], Tracker]:  # fmt: skip
+    """As `make_tracker`, but with the map where the tracker has one; `say` gets a line about it. `single_process`: so
+    that it maps within the frame."""
     if path is None:
         return make_tracker
 
@@ -37,7 +40,7 @@ def trackers_with_map(path: Path | None, say: Callable[[str], None]) -> Callable
             return make_tracker(name)
         from base_station.trackers.slam.tracker import SlamTracker
 
-        return SlamTracker(map_file=path, say=say)
+        return SlamTracker(single_process=single_process, map_file=path, say=say)
 
     return make
 

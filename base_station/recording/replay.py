@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +79,7 @@ def replay(
     speed: float | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Replayed]:
+) -> Generator[Replayed, None, None]:
     """Frame by frame. `speed`: 1 is the rate at which the frames were taken, None as fast as it goes.
 
     Frames without a picture are passed over, but what was ordered with them is done. Raises StationError.

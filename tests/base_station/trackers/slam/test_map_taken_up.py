@@ -161,6 +161,12 @@ def test_evaluate_goes_on_where_it_left_off(tmp_path, capsys):
     said = capsys.readouterr()
     assert f"map: {told} from {file}\n" in said.err and f"map: {read_map(file).told} to {file}\n" in said.err
     assert "100.0%" in said.out  # from the first picture on
+    told = read_map(file).told
+    assert cli.main(["replay", str(folder), "--tracker", "slam", "--map", str(file), "--max-frames", "8"]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"map: {told} from {file}" in said and f"map: {read_map(file).told} to {file}" in said
+    assert cli.main(["replay", str(folder), "--tracker", "phase", "--map", str(file)]) == 2
+    assert "--map goes with --tracker slam" in " ".join(capsys.readouterr().err.split())
     whole = file.read_bytes()
     file.write_bytes(whole[:1000])
     assert cli.main(evaluate) == 2
