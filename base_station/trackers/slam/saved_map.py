@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
@@ -82,16 +81,6 @@ class SavedMap:
         return np.repeat(np.arange(len(counts)), counts)
 
     @cached_property
-    def shared(self) -> np.ndarray:
-        """(K, K) int32: how many points two keyframes share."""
-        seen, count = self.columns["point_of"], len(self.columns["poses"])
-        rows = np.flatnonzero(seen >= 0)
-        rows = rows[np.argsort(seen[rows], kind="stable")]
-        shared = np.zeros((count, count), np.int32)
-        _count_shared(seen[rows], self.keyframe_of[rows], shared)
-        return shared
-
-    @cached_property
     def features(self) -> list[Features]:
         """Of each keyframe."""
         ends = np.cumsum(self.columns["feature_counts"])[:-1]
@@ -100,14 +89,9 @@ class SavedMap:
 
     @cached_property
     def words(self) -> list[np.ndarray]:
-        """Of each keyframe, the visual word of each feature (n,)."""
+        """Of each keyframe, the visual word of each feature (n,). Takes a moment the first time."""
         vocabulary = Vocabulary.load()
         return [vocabulary.bow(one.descriptor_bytes)[0] for one in self.features]
-
-    def get_ready(self) -> None:
-        """Compute now what `fill` and place recognition need: later a robot waits."""
-        if self.shared.size:
-            _ = self.words
 
     # --- taken up again ---------------------------------------------------------------------------------------------
 
@@ -153,13 +137,14 @@ class SavedMap:
             component = int(mine["component"][row])
             world.add_keyframe(row, float(mine["time_s"][row]), mine["poses"][row], features, seen, component)
         count = len(mine["poses"])
-        world.sizes[:count], world.shared[:count, :count] = mine["sizes"], self.shared
+        world.sizes[:count] = mine["sizes"]
         rows = world.add_points(mine["xyz"], mine["descriptors"], 0)
         for name in ("normals", "nearest", "farthest", "point_component"):
             getattr(world, name)[rows] = mine[name]
         seen = mine["point_of"]
         world.born[rows] = count
         np.minimum.at(world.born, seen[seen >= 0], self.keyframe_of[seen >= 0])
+        world.recount(np.arange(count))
         world.count_observed(rows)
         world.lens = self.lens
         world.take_changes()  # whoever has a copy fills it from here, too
@@ -185,17 +170,3 @@ def _directions_off_px(one: SlamCamera, two: SlamCamera) -> float:
     places = np.stack([across.ravel(), down.ravel()], axis=1)
     rays = [(c.undistort(places) - c.intrinsics[2:]) / c.intrinsics[:2] for c in (one, two)]
     return float(np.linalg.norm((rays[0] - rays[1]) * two.intrinsics[:2], axis=1).max())
-
-
-@njit(cache=True, nogil=True)
-def _count_shared(points, keyframes, shared):
-    """`points` ascending: each pair of keyframes that see one shares it."""
-    first = 0
-    for i in range(1, len(points) + 1):
-        if i < len(points) and points[i] == points[first]:
-            continue
-        for a in range(first, i):
-            for b in range(a + 1, i):
-                shared[keyframes[a], keyframes[b]] += 1
-                shared[keyframes[b], keyframes[a]] += 1
-        first = i

@@ -100,7 +100,7 @@ class SlamTracker(PatchTracker):
             self._say(f"map: a new one, {self._map_file} is written at the end")
             return None
         saved = read_map(self._map_file)
-        saved.get_ready()
+        _ = saved.words  # computed once, and kept
         self._say(f"map: {saved.told} from {self._map_file}")
         return saved
 
@@ -293,13 +293,17 @@ class SlamTracker(PatchTracker):
         if self._map_file is None or self._slam is None or self._kept:
             return
         self._kept = True
-        self._slam.finish()
-        saved = self._slam.saved()
+        try:
+            self._slam.finish()
+        finally:  # with what there is, when the mapper has failed
+            self._write_map(self._map_file, self._slam.saved())
+
+    def _write_map(self, path: Path, saved: SavedMap | None) -> None:
         if saved is None:
-            self._say(f"map: too little was seen to be kept, {self._map_file} is not written")
+            self._say(f"map: too little was seen to be kept, {path} is not written")
             return
-        write_map(self._map_file, saved)
-        self._say(f"map: {saved.told} to {self._map_file}")
+        write_map(path, saved)
+        self._say(f"map: {saved.told} to {path}")
 
     def _end_mapper(self) -> None:
         if self._slam is not None:

@@ -20,7 +20,7 @@ from base_station.trackers.slam.saved_map import SavedMap
 CAMERA = SlamCamera(width_px=320, height_px=240, fx=260.0, fy=261.0, cx=159.5, cy=119.5, distortion=(0.1, -0.05, 0, 0))
 SETTINGS = FeatureSettings(count=60)
 SCALES = SETTINGS.scale_factor ** np.arange(SETTINGS.levels)
-COLUMNS = ("poses", "sizes", "time_s", "component", "alive", "point_of", "octave_of", "shared", "xyz", "descriptors",
+COLUMNS = ("poses", "sizes", "time_s", "component", "alive", "point_of", "octave_of", "xyz", "descriptors",
            "normals", "nearest", "farthest", "point_alive", "observed", "point_component", "born")  # fmt: skip
 
 
@@ -92,7 +92,9 @@ def test_a_map_filled_from_a_file_is_the_one_that_was_saved(file):
     read_map(file).ready_for(CAMERA, SETTINGS).fill(new)
     kept = old.keyframes_alive()
     assert (new.keyframe_count, new.point_count) == (8, 60)
-    assert np.array_equal(new.shared[:8, :8], old.shared[np.ix_(kept, kept)])
+    assert [new.neighbours(row, 9).tolist() for row in range(8)] == [
+        np.searchsorted(kept, old.neighbours(int(row), 9)).tolist() for row in kept
+    ]
     assert np.array_equal(new.poses[:8], old.poses[kept]) and np.array_equal(new.sizes[:8], old.sizes[kept])
     assert np.array_equal(new.component[:8], [0] * 5 + [1] * 3)
     alive = old.points_alive()
@@ -118,15 +120,6 @@ def test_maps_too_small_to_keep_are_left_out():
     assert five is not None and five.told == "5 keyframes, 40 points"
     assert SavedMap.of(world, CAMERA, 6) is None
     assert SavedMap.of(Map(SETTINGS.count, SCALES), CAMERA, 1) is None
-
-
-def test_covisibility_is_the_maps_own(saved):
-    seen = np.zeros((8, 60), np.int64)
-    shown = saved.columns["point_of"] >= 0
-    seen[saved.keyframe_of[shown], saved.columns["point_of"][shown]] = 1
-    expected = seen @ seen.T
-    np.fill_diagonal(expected, 0)
-    assert np.array_equal(saved.shared, expected)
 
 
 def rewritten(file, **changed):
