@@ -2,7 +2,7 @@
 
 Left behind is what only the running system needs: culled rows, who was replaced by whom, the loops closed so far (the
 points that both ends share keep them together), and how often a young point was found. Who shares points with whom,
-and each keyframe's visual words for place recognition, are quicker computed than read.
+and each keyframe's visual words for place recognition, are computed anew: then they cannot contradict the rest.
 """
 
 from __future__ import annotations
