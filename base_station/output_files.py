@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from base_station.errors import StationError
 
@@ -31,6 +32,21 @@ def check_output(flag: str, path: Path | None, kinds: Sequence[str] = ()) -> Non
 def write_json(path: Path, figures: Any) -> None:
     """Raises StationError when it cannot be written."""
     write_bytes(path, (json.dumps(figures, indent=2) + "\n").encode())
+
+
+def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Let `write` fill a file that takes this one's place when it is whole. Raises StationError when it cannot."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise StationError(f"{path} cannot be written ({error.strerror}).") from error
 
 
 def write_bytes(path: Path, data: bytes) -> None:

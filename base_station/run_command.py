@@ -34,6 +34,7 @@ from base_station.kits import KitMaker
 from base_station.landmark_shelf import LandmarkShelf
 from base_station.landmarks_command import DEFAULT_MEMORY, parse_box, scale_of
 from base_station.link import Link
+from base_station.map_option import check_map, keep_maps, trackers_with_map
 from base_station.orders import LANDMARK
 from base_station.output_files import check_output, write_bytes, write_json
 from base_station.publication.service import Publication
@@ -75,6 +76,8 @@ class Run:
     """Follow this landmark, or with behaviour goto return to it, instead of learning something now."""
     memory: Path = DEFAULT_MEMORY
     """The file that holds the landmark (see base-station landmarks)."""
+    map: Path | None = None
+    """slam's map: taken up from this file where it exists, and written there when the run ends."""
     until_there: bool = False
     """With behaviour goto or route: end when it is there, or has given up (exit code 1)."""
     target_width_m: float | None = None
@@ -155,6 +158,7 @@ def _check(run: Run) -> None:
         raise StationError(f"--port must be 1..65532 (four ports in a row), not {run.port}.", usage=True)
     if run.console:
         check_console(_console_settings(run))
+    check_map(run.map, (run.tracker if run.landmark is None else None, run.shadow))
     check_output("--summary", run.summary)
     check_output("--picture", run.picture, (".png",))
     if run.record_raw and run.record is None:
@@ -187,15 +191,16 @@ def run(run: Run, console: Console) -> None:
         link = Link(_link_settings(run), on_telemetry=functools.partial(_tell, hearing))
         driving: queue.SimpleQueue[str] = queue.SimpleQueue()
         shelf = LandmarkShelf(run.memory)
-        station = _station(run, link, driving, shelf, watching, waiting)
+        say = functools.partial(console.print, soft_wrap=True, markup=False)  # what is long stays in one line
+        station = _station(run, link, driving, shelf, watching, waiting, say)
         stack.callback(station.close)
+        stack.callback(lambda: keep_maps(station.trackers))  # however the run ends
         if run.record is not None:
             recorder = stack.enter_context(recording_of(run, run.record, link, raw=run.record_raw))
             watching.append(recorder.note_step)
             hearing.append(recorder.note_telemetry)
         stack.enter_context(link)  # now that the trackers are made: the robot does not wait for them
         if run.console:
-            say = functools.partial(console.print, soft_wrap=True, markup=False)  # a long address stays in one line
             publication = _open_console(run, stack, link, station, shelf, say)
             watching.append(publication.step)
             waiting.append(publication.wait)
@@ -276,6 +281,7 @@ def _station(
     shelf: LandmarkShelf,
     watching: list[Callable[[Step], None]],
     waiting: list[Callable[[], None]],
+    say: Callable[[str], None],
 ) -> Station:
     """With trackers of its own; tells those who are `watching` of each step, and those who are `waiting` that no frame
     comes. Raises StationError."""
@@ -298,7 +304,10 @@ def _station(
         rows=run.rows,
         target_rows=run.target_rows,
     )
-    make = KitMaker(memory=run.memory, target_width_m=run.target_width_m, learned_distance_m=run.learned_distance_m)
+    make = KitMaker(
+        memory=run.memory, target_width_m=run.target_width_m, learned_distance_m=run.learned_distance_m,
+        trackers=trackers_with_map(run.map, say),
+    )  # fmt: skip
     with ExitStack() as making:
         kit = _kit(make, run.tracker if run.landmark is None else LANDMARK + run.landmark)
         making.callback(close_tracker, kit.tracker)

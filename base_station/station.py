@@ -137,6 +137,11 @@ class Station:
         """Of the tracker and the behaviour, now."""
         return self._watcher.name, self._driver.behaviour
 
+    @property
+    def trackers(self) -> list[Tracker]:
+        """The one that steers now, and its shadow."""
+        return self._watcher.trackers
+
     def stop(self) -> None:
         """End the loop after the present frame; signal handlers may call it."""
         self._stopping = True

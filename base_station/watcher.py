@@ -73,6 +73,11 @@ class Watcher:
         return self._kit.tracker
 
     @property
+    def trackers(self) -> list[Tracker]:
+        """Those that look: the first one, and its shadow."""
+        return [self.tracker] + ([self._shadow.tracker] if self._shadow is not None else [])
+
+    @property
     def name(self) -> str:
         return self._kit.name
 

@@ -5,7 +5,7 @@ frames, and no robot.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
@@ -78,7 +78,7 @@ def replay(
     speed: float | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Replayed]:
+) -> Generator[Replayed, None, None]:
     """Frame by frame. `speed`: 1 is the rate at which the frames were taken, None as fast as it goes.
 
     Frames without a picture are passed over, but what was ordered with them is done. Raises StationError.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -17,6 +18,7 @@ from base_station.display import short_name
 from base_station.errors import StationError, never_learned
 from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.landmarks_command import parse_box
+from base_station.map_option import check_map, trackers_with_map
 from base_station.output_files import write_json
 from base_station.recording.agreement import Agreement, agreement
 from base_station.recording.planning import kits_of, planned
@@ -52,6 +54,8 @@ class Replay:
     """Shrink the pictures of a folder or video to so many columns; the target is counted in the shrunk picture."""
     memory: Path | None = None
     """The file that holds the landmarks, if one was followed. Default: as in the recorded run."""
+    map: Path | None = None
+    """slam's map: taken up from this file where it exists, and written there at the end."""
     speed: str = FAST
     """1 is the rate at which the frames were taken, 0.5 half of it; fast: as fast as it goes."""
     realtime: bool = False
@@ -123,6 +127,7 @@ def replay_run(command: Replay, console: Console, watch: Watch = lambda stack, r
     if command.same and (not isinstance(source, RecordedRun) or target is not None):
         raise StationError("--same needs a recording (FILE.mcap) and its own target to compare with.", usage=True)
     plan = planned(source, command.tracker, command.shadow)
+    check_map(command.map, (plan.tracker, plan.shadow))
     with ExitStack() as stack:
         robot = ReplayedRobot(source)
         audience = watch(stack, robot)
@@ -152,7 +157,11 @@ def _played(
         observers = _observers(command, plan, source, stack)
         if audience is not None:
             observers.append(audience.step)
-        for replayed in replay(source, plan, kits_of(source, command.memory), speed=speed):
+        kits = kits_of(source, command.memory)
+        if command.map is not None:
+            say = functools.partial(_say, console)
+            kits = dataclasses.replace(kits, trackers=trackers_with_map(command.map, say, single_process=True))
+        for replayed in stack.enter_context(closing(replay(source, plan, kits, speed=speed))):
             robot.tracker = replayed.tracker
             steering.note(replayed, shadow=False)
             shadowing.note(replayed, shadow=True)

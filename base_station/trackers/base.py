@@ -59,6 +59,16 @@ class Surveyor(Tracker, Protocol):
 
 
 @runtime_checkable
+class KeepsMap(Tracker, Protocol):
+    """A tracker whose map outlives it."""
+
+    def keep_map(self) -> None:
+        """After the last frame, before `close`: write the map to its file, where it has one; waits until it is
+        finished. Raises StationError."""
+        ...
+
+
+@runtime_checkable
 class WantsRows(Tracker, Protocol):
     """A tracker that can work on a band of rows (see `Frame.first_row`): the robot then needs not send the rest.
 

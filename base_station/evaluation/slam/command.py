@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -28,10 +28,12 @@ from base_station.evaluation.slam.trajectory import Trajectory, write_euroc, wri
 from base_station.evaluation.slam.trajectory_errors import LEAST_POSES, MOST_APART_S, associate
 from base_station.evaluation.thesis.plotting import require
 from base_station.evaluation.tracking_command import check_options, plain_console
-from base_station.output_files import write_json
+from base_station.output_files import check_output, write_json
 from base_station.trackers.own import close_tracker
 from base_station.trackers.registry import made_from_file
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.map_file import read_map, write_map
+from base_station.trackers.slam.saved_map import SavedMap
 
 OWN = "slam"
 SLAM_METHODS = ("track", "finish", "trajectory", "keyframes", "points", "statistics", "close")
@@ -57,6 +59,8 @@ class EvaluateSlam:
     single_process: bool = False
     """Map in the same process: slower, and the same result every time."""
     seed: int = 0
+    map: Path | None = None
+    """With slam: go on in the map of this file where it exists, and write it there at the end."""
     json: Path | None = None
     """Write all figures to this file."""
     output: Path | None = None
@@ -68,6 +72,9 @@ def evaluate_slam(command: EvaluateSlam) -> None:
     check_options(command.max_frames, command.json)
     if command.seed < 0:
         raise StationError(f"--seed must not be negative, not {command.seed}.", usage=True)
+    if command.map is not None and command.tracker != OWN:
+        raise StationError(f"--map goes with --tracker {OWN}.", usage=True)
+    check_output("--map", command.map)
     if command.output is not None:
         require()
         _make(command.output)
@@ -90,24 +97,55 @@ def evaluate_slam(command: EvaluateSlam) -> None:
 def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
     """A new system, shown the sequence in one thread of OpenCV's, and closed whatever happens. Raises StationError."""
     threads = cv2.getNumThreads()
+    saved = _read_map(command.map)
     with Console(stderr=True).status("getting ready (the first time its kernels are compiled)"):
-        slam = make_slam(command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed)
+        slam = make_slam(
+            command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed, saved=saved
+        )
     try:
         cv2.setNumThreads(1)
         with threadpool_limits(1), _progress(len(sequence)) as progress:
             task = progress.add_task("pictures", total=len(sequence))
-            return show(sequence, slam, realtime=command.realtime, on_frame=lambda: progress.advance(task))
+            run = show(sequence, slam, realtime=command.realtime, on_frame=lambda: progress.advance(task))
+        if command.map is not None and isinstance(slam, KeepsMap):
+            _write_map(command.map, slam.saved())
+        return run
     finally:
         cv2.setNumThreads(threads)
         close_tracker(slam)
 
 
-def make_slam(name: str, camera: SlamCamera, *, single_process: bool, seed: int) -> Slam:
-    """Our system, or a user's class that is made with the same arguments. Raises StationError."""
+@runtime_checkable
+class KeepsMap(Protocol):
+    """A system whose map can be kept, see `SlamSystem.saved`."""
+
+    def saved(self) -> SavedMap | None: ...
+
+
+def _read_map(path: Path | None) -> SavedMap | None:
+    if path is None or not path.exists():
+        return None
+    saved = read_map(path)
+    print(f"map: {saved.told} from {path}", file=sys.stderr)
+    return saved
+
+
+def _write_map(path: Path, saved: SavedMap | None) -> None:
+    if saved is None:
+        print(f"map: too little was seen to be kept, {path} is not written", file=sys.stderr)
+        return
+    write_map(path, saved)
+    print(f"map: {saved.told} to {path}", file=sys.stderr)
+
+
+def make_slam(
+    name: str, camera: SlamCamera, *, single_process: bool, seed: int, saved: SavedMap | None = None
+) -> Slam:  # fmt: skip
+    """Our system, or a user's class that is made with the same arguments; `saved` is for ours. Raises StationError."""
     if name == OWN:
         from base_station.trackers.slam.system import SlamSystem
 
-        return SlamSystem(camera, single_process=single_process, seed=seed)
+        return SlamSystem(camera, single_process=single_process, seed=seed, saved=saved)
     if ".py:" not in name:
         text = f"{name!r} gives no trajectory: evaluate slam runs slam, or your own class as path/to/file.py:ClassName."
         raise StationError(text, usage=True)

@@ -24,6 +24,7 @@ from base_station.trackers.slam.map import NONE, Map, MapUpdate, refresh_points
 from base_station.trackers.slam.new_points import make_points, median_depth
 from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.returning import Returns
+from base_station.trackers.slam.saved_map import SavedMap
 from base_station.trackers.slam.types import Closure
 from base_station.trackers.slam.whole_bundle import adjust_whole
 
@@ -53,6 +54,13 @@ class Settle:
     """No picture follows for now: a map may be adjusted as a whole."""
 
     component: int
+
+
+@dataclass(frozen=True)
+class TakeUp:
+    """A map of an earlier run, before anything else."""
+
+    saved: SavedMap
 
 
 @dataclass(frozen=True)
@@ -118,6 +126,14 @@ class Mapper:
         for row, words in zip(new.rows, new.words, strict=True):
             self._places.add(row, words)
         return self._changes("new map", began)
+
+    def take_up(self, saved: SavedMap) -> MapUpdate:
+        """Go on in a map of an earlier run. Who sent it has it already: no rows come back."""
+        began = time.perf_counter()
+        saved.fill(self.map)
+        for row, words in enumerate(saved.words):
+            self._places.add(row, words)
+        return self._changes("taken up", began)
 
     def insert(self, new: NewKeyframe, busy: Callable[[], bool] = lambda: False) -> MapUpdate:
         """All that a keyframe brings. `busy`: whether others wait; then the costly last steps are left out."""

@@ -26,14 +26,14 @@ from threadpoolctl import threadpool_limits
 from base_station.errors import StationError
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import MapUpdate
-from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap, Settle
+from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap, Settle, TakeUp
 from base_station.trackers.slam.rehearsal import rehearse_mapping
 from base_station.trackers.slam.settings import SlamSettings
 
 LOOK_EVERY_S = 0.5
 READY_WITHIN_S = 90
 READY = "ready"
-Work = NewMap | NewKeyframe | Forget | Settle
+Work = NewMap | NewKeyframe | Forget | Settle | TakeUp
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,8 @@ def do(mapper: Mapper, work: Work, busy: Any = lambda: False) -> MapUpdate:
     """One piece of work."""
     if isinstance(work, NewMap):
         return mapper.begin(work)
+    if isinstance(work, TakeUp):
+        return mapper.take_up(work.saved)
     if isinstance(work, Settle):
         return mapper.settle(work.component)
     return mapper.forget(work.component) if isinstance(work, Forget) else mapper.insert(work, busy)

@@ -22,11 +22,12 @@ from base_station.trackers.slam.initialization import Initializer
 from base_station.trackers.slam.keyframe_decision import is_where, share_seen, wants_keyframe
 from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
-from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle
+from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle, TakeUp
 from base_station.trackers.slam.mapper_process import MapperHere, MapperLink, MapperProcess
 from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
+from base_station.trackers.slam.saved_map import SavedMap
 from base_station.trackers.slam.se3 import inverse, relative, transform
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
@@ -78,8 +79,10 @@ class SlamSystem:
 
     `single_process`: the mapper works within `track`; the same pictures then give the same poses, for any machine load.
     `seed`: of the random choices when places are compared. `mapper_at_once`: wait for the mapper's process now; if
-    not, it gets ready meanwhile, and a map that begins in the first seconds is late.
-    Raises StationError when pycolmap or gtsam is missing, or the mapper's process does not start.
+    not, it gets ready meanwhile, and a map that begins in the first seconds is late. `saved`: a map of an earlier run
+    (`map_file.py`); the camera is LOST until it recognises a place in it, as after any loss.
+    Raises StationError when pycolmap or gtsam is missing, the mapper's process does not start, or the saved map is of
+    another camera.
     """
 
     def __init__(
@@ -90,11 +93,13 @@ class SlamSystem:
         single_process: bool = False,
         seed: int = 0,
         mapper_at_once: bool = True,
+        saved: SavedMap | None = None,
     ) -> None:
         libraries.gtsam()
         settings = settings or SlamSettings()
         loops = replace(settings.loops, sim3=replace(settings.loops.sim3, seed=seed))
         self.settings = settings = replace(settings, loops=loops)
+        saved = saved.ready_for(camera, settings.features) if saved is not None else None
         self._camera = camera
         self._extract = FeatureExtractor(camera, settings.features)
         self._map = Map(settings.features.count, self._extract.scales)
@@ -126,6 +131,20 @@ class SlamSystem:
         """Whether the map has changed since it was adjusted as a whole."""
         self._counts = _Counts()
         self._end = weakref.finalize(self, self._link.close)
+        self._taken_up = 0
+        """Keyframes of an earlier run, which are the first ones."""
+        if saved is not None:
+            self._take_up(saved)
+
+    def _take_up(self, saved: SavedMap) -> None:
+        """As after a loss, but that nothing is known of the last picture."""
+        saved.fill(self._map)
+        for row, words in enumerate(saved.words):
+            self._places.add(row, words)
+        self._link.send(TakeUp(saved))
+        self._next_row = self._taken_up = self._map.keyframe_count
+        self._next_component = int(saved.columns["component"].max()) + 1
+        self._component = self._largest()
 
     # --- pictures ---------------------------------------------------------------------------------------------------
 
@@ -346,7 +365,7 @@ class SlamSystem:
         for update in updates:
             self._map.apply(update)
             look_through(self._map, Lens(*update.lens), self._camera)
-            self._unsettled = update.event not in ("settled", "left as it is")
+            self._unsettled = update.event not in ("settled", "left as it is", "taken up")
             if update.event in ("loop", "merge", "settled"):
                 self._tracker.stopped()
                 self._counts.corrected += update.event == "loop"
@@ -419,14 +438,20 @@ class SlamSystem:
         ]
 
     def keyframes(self) -> list[tuple[float, np.ndarray]]:
-        """(time_s, world_from_cam 4x4) of the largest map's keyframes."""
+        """(time_s, world_from_cam 4x4) of the largest map's keyframes, but those of an earlier run: their time was
+        another."""
         rows = self._map.keyframes_alive(self._largest())
+        rows = rows[rows >= self._taken_up]
         rows = rows[np.argsort(self._map.time_s[rows], kind="stable")]
         return [(float(self._map.time_s[row]), inverse(self._map.poses[row])) for row in rows]
 
     def points(self) -> np.ndarray:
         """(n, 3) points of the largest map, metres up to scale."""
         return self._map.xyz[self._map.points_alive(self._largest())]
+
+    def saved(self) -> SavedMap | None:
+        """The maps that are worth keeping, to be taken up later: after `finish`. None when there is none."""
+        return SavedMap.of(self._map, self._camera, self.settings.atlas.least_keyframes)
 
     def statistics(self) -> SlamStatistics:
         """Counts so far."""

@@ -7,9 +7,11 @@ not in it either, the tracker says so; the heading it keeps all the same, by a c
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -22,13 +24,17 @@ from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.lens import Lens, through
 from base_station.trackers.slam.map import NONE, Map
+from base_station.trackers.slam.map_file import read_map, write_map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
+from base_station.trackers.slam.saved_map import SavedMap
 from base_station.trackers.slam.se3 import camera_centers, inverse
 from base_station.trackers.slam.sighting import sight
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
 from base_station.trackers.slam.target import MapTarget, Placed, differ, heading_of, place_in_map, result_of, target_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
+
+log = logging.getLogger(__name__)
 
 SURE_MATCHES = 150
 """Map points seen, from which on a pose could not be surer."""
@@ -50,15 +56,29 @@ def _turned_by(place: TrackerResult, heading_rad: float, frame: Frame) -> Tracke
 class SlamTracker(PatchTracker):
     """See `base.Tracker`. The map outlives `learn`: only a camera of another kind begins a new one.
 
-    `single_process`: the mapper works within `update`, which then takes longer; for tests and replays.
+    `single_process`: the mapper works within `update`, which then takes longer; for tests and replays. `map_file`: the
+    map of an earlier run, taken up where there is one, and where `keep_map` leaves this one's. `say` gets a line of
+    each.
     """
 
-    def __init__(self, *, settings: SlamSettings | None = None, single_process: bool = False) -> None:
-        """Raises StationError when pycolmap or gtsam is missing. Compiles what needs it now: later a robot waits."""
+    def __init__(
+        self,
+        *,
+        settings: SlamSettings | None = None,
+        single_process: bool = False,
+        map_file: Path | None = None,
+        say: Callable[[str], None] = log.info,
+    ) -> None:
+        """Raises StationError when pycolmap or gtsam is missing, or the file holds no map. Compiles what needs it, and
+        reads the map, now: later a robot waits."""
         super().__init__()
         libraries.gtsam()
         rehearse_tracking()
         self._settings, self._single_process = settings, single_process
+        self._map_file, self._say = map_file, say
+        self._saved = self._read_map()
+        self._kept = False
+        """Since the last picture."""
         self._slam: SlamSystem | None = None
         self._camera: SlamCamera | None = None
         self._extract: Callable[[np.ndarray], Features]
@@ -76,21 +96,35 @@ class SlamTracker(PatchTracker):
         self._pose: np.ndarray | None = None
         self._frames = 0
 
+    def _read_map(self) -> SavedMap | None:
+        if self._map_file is None:
+            return None
+        if not self._map_file.exists():
+            self._say(f"map: a new one, {self._map_file} is written at the end")
+            return None
+        saved = read_map(self._map_file)
+        _ = saved.words  # computed once, and kept
+        self._say(f"map: {saved.told} from {self._map_file}")
+        return saved
+
     @property
     def slam(self) -> SlamSystem | None:
         """The system beneath, once something has been learned."""
         return self._slam
 
     def learn(self, frame: Frame, target: Box | None) -> None:
-        """Remember the target. Raises ValueError as `base.Tracker.learn` does."""
+        """Remember the target. Raises ValueError as `base.Tracker.learn` does, StationError when the map is of another
+        camera."""
         camera = SlamCamera.of(frame.camera)
         if frame.image.shape != (camera.height_px, camera.width_px):
             raise ValueError("the frame has another size than its camera")
         slam = self._slam
         if slam is None or camera != self._camera:
+            mapped = slam.saved() if slam is not None and self._map_file is not None else None
             slam = SlamSystem(
-                camera, settings=self._settings, single_process=self._single_process, mapper_at_once=False
-            )
+                camera, settings=self._settings, single_process=self._single_process, mapper_at_once=False,
+                saved=mapped or self._saved,
+            )  # fmt: skip
         self._extract, self._shown_at = slam.features_of, camera.distort
         try:
             super().learn(frame, target)
@@ -122,6 +156,7 @@ class SlamTracker(PatchTracker):
         pose = self._pose = seen.cam_from_world
         self._frames += 1
         self._look_through(Lens(*slam.map.lens))
+        self._kept = False
         if pose is not None:
             self._leave_other_map(slam)
             self._place(slam)
@@ -264,12 +299,32 @@ class SlamTracker(PatchTracker):
             loop_times_s=tuple(one.time_s for one in counts.closures if one.kind != "merge"),
         )  # fmt: skip
 
+    def keep_map(self) -> None:
+        """See `base.KeepsMap`. What is on file stays there as long as nothing is worth keeping."""
+        if self._map_file is None or self._slam is None or self._kept:
+            return
+        self._kept = True
+        try:
+            self._slam.finish()
+        finally:  # with what there is, when the mapper has failed
+            self._write_map(self._map_file, self._slam.saved())
+
+    def _write_map(self, path: Path, saved: SavedMap | None) -> None:
+        if saved is None:
+            self._say(f"map: too little was seen to be kept, {path} is not written")
+            return
+        write_map(path, saved)
+        self._say(f"map: {saved.told} to {path}")
+
     def _end_mapper(self) -> None:
         if self._slam is not None:
             self._slam.close()
             self._slam = None
 
     def close(self) -> None:
-        """End the mapper and let go of what was learned."""
-        super().close()
-        self._end_mapper()
+        """Keep the map, end the mapper and let go of what was learned."""
+        try:
+            self.keep_map()  # of a tracker that is exchanged; at the end of a run it is kept by now
+        finally:
+            super().close()
+            self._end_mapper()

@@ -159,7 +159,7 @@ class FrameTracker:
         """Where this picture was taken, from the one before; or in words why that is not known."""
         last, before = self._last, self.last_pose
         if last is None or before is None:
-            return "no picture before"
+            return "no place of the map is recognised yet"
         guess = before if self._velocity is None else self._velocity @ before
         reference = self._map.living(last.reference)
         points = self._map.current(last.picture.point_of)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 
 from base_station.errors import StationError
 from base_station.geometry import PinholeCamera
+from base_station.output_files import replace_file
 from base_station.trackers.ztransform.landmark import CELLS, LONGEST_NAME, Landmark, check_name
 from base_station.trackers.ztransform.verification import SMALL_SIZE
 from base_station.types import Box
@@ -53,17 +52,7 @@ def write_landmarks(path: Path, landmarks: list[Landmark]) -> None:
         "cameras": _stack([np.array(_camera_numbers(landmark.camera)) for landmark in landmarks], "cameras"),
         "depths_m": np.array([landmark.learned_depth_m or np.nan for landmark in landmarks], np.float64),
     }
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, **arrays)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-    except OSError as error:
-        raise StationError(f"{path} cannot be written ({error.strerror}).") from error
+    replace_file(path, lambda file: np.savez_compressed(file, **arrays))
 
 
 def read_landmarks(path: Path) -> list[Landmark]:
