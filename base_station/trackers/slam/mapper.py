@@ -149,6 +149,7 @@ class Mapper:
         row = np.array([new.row])
         world.see_each_point_once(row)
         world.recount(row)
+        confirmed = None if busy() or new.row < self._looked_after else self._returns.look(world, new.row)
         self._young = cull_points(world, self._young, new.row, settings.culling)
         made = make_points(world, new.row, self._camera, settings.new_points)
         self._young = np.concatenate([self._young, made])
@@ -165,7 +166,9 @@ class Mapper:
         refresh_points(world, world.points_of(near), around)
         self._places.add(new.row, new.words)
         self._places.tidy()
-        closure = None if busy() else self._close_loop(new)
+        if confirmed is not None:
+            tie(world, new.row, self._returns.place(world), self._closed, self._camera)
+        closure = confirmed if confirmed is not None or busy() else self._close_loop(new)
         update = self._changes("keyframe" if closure is None else closure.kind, began)
         return replace(update, closure=closure)
 
@@ -174,13 +177,9 @@ class Mapper:
             return None
         began = time.perf_counter()
         loop = find_loop(self.map, self._places, new.row, new.words, self._camera, self._settings.loops)
-        if loop is None:
-            confirmed = self._returns.look(self.map, new.row)
-            if confirmed is not None:
-                tie(self.map, new.row, self._returns.place(self.map), self._closed, self._camera)
-            self._note_time("place recognition", began)
-            return confirmed
         self._note_time("place recognition", began)
+        if loop is None:
+            return None
         began = time.perf_counter()
         self._looked_after = new.row + self._settings.loops.again_after
         closure = correction(self.map, loop)

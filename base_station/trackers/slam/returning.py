@@ -2,8 +2,10 @@
 
 After a loop is closed the camera drives in mapped space, and a next lap leaves nothing to close. That is only as good
 as the map is: so each time the camera comes back to that place, its keyframe is placed anew by its looks alone, against
-the points of the old keyframe, as if nothing were known of where it is. The loop is confirmed when the pose so found is
-sure, and is the map's own up to a bound; by how much the two differ is kept.
+the points of the old keyframe, as if nothing were known of where it is. And it is placed by the other points that the
+map has it see, without any that the old keyframe sees. The loop is confirmed when both poses are sure and are the same
+up to a bound; by how much they differ is kept. The two have no point in common, and both are asked for before this
+keyframe has moved a point: what has been adjusted to fit together would always agree.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.certainty import CertaintySettings, is_certain
+from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.pose_optimization import optimize_pose
@@ -38,8 +41,10 @@ class ReturnSettings:
     """Between both poses, as a share of the median depth; with more the map is not what the place says..."""
     widest_rad: float = math.radians(2.0)
     """...and so it is with a wider turn."""
+    least_others: int = 30
+    """Points that the place does not see, and that fit the other pose."""
     certainty: CertaintySettings = field(default_factory=CertaintySettings)
-    """Of the pose by looks."""
+    """Of both poses."""
 
 
 class Returns:
@@ -58,7 +63,8 @@ class Returns:
         return world.living(self._place)
 
     def look(self, world: Map, keyframe: int) -> Closure | None:
-        """What a new keyframe confirms; None where it is not a return, or does not."""
+        """What a new keyframe confirms; None where it is not a return, or does not. To be asked before the keyframe
+        changes the map."""
         if self._place == NONE:
             return None
         place = self.place(world)
@@ -77,7 +83,8 @@ class Returns:
 def confirm(
     world: Map, keyframe: int, place: int, camera: SlamCamera, settings: ReturnSettings
 ) -> Closure | None:  # fmt: skip
-    """The keyframe's pose by its looks alone, against what another keyframe sees; None when the map says otherwise."""
+    """The keyframe's pose by its looks alone, against what the place sees; None when the rest of the map says
+    otherwise, or does not say enough."""
     mine, theirs = world.features[keyframe], world.features[place]
     points = world.point_of[place, : len(theirs)]
     shown = np.flatnonzero(points >= 0)
@@ -86,21 +93,22 @@ def confirm(
     if len(index) < settings.least_pairs:
         return None
     xyz, rows = world.xyz[points[shown[index]]], matches[index]
-    seen, scales = mine.xy_px[rows].astype(np.float64), world.scales[mine.octave[rows]]
     solved, rotation, translation, _ = cv2.solvePnPRansac(
-        xyz, seen, camera.matrix, None, iterationsCount=200, reprojectionError=settings.pnp_error_px,
-        confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
+        xyz, mine.xy_px[rows].astype(np.float64), camera.matrix, None, iterationsCount=200,
+        reprojectionError=settings.pnp_error_px, confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
     )  # fmt: skip
     if not solved:
         return None
-    fit = optimize_pose(pose_of(cv2.Rodrigues(rotation)[0], translation), xyz, seen, scales, camera.intrinsics)
-    fitting, pose = fit.inliers, fit.cam_from_world
-    if fitting.sum() < settings.least_pairs or not is_certain(
-        pose, xyz[fitting], seen[fitting], scales[fitting], camera.intrinsics, settings.certainty
-    ):
+    guess = pose_of(cv2.Rodrigues(rotation)[0], translation)
+    pose = _sure_pose(world, guess, xyz, mine, rows, settings.least_pairs, camera, settings)
+    seen = world.point_of[keyframe, : len(mine)]
+    others = np.flatnonzero((seen >= 0) & ~np.isin(seen, points) & ~np.isin(np.arange(len(mine)), rows))
+    mapped = _sure_pose(
+        world, world.poses[keyframe], world.xyz[seen[others]], mine, others, settings.least_others, camera, settings
+    )
+    if pose is None or mapped is None:
         return None
-    mapped = world.poses[keyframe]
-    depth = float(np.median(transform(mapped, xyz[fitting])[:, 2]))
+    depth = float(np.median(transform(mapped, xyz)[:, 2]))
     moved = float(np.linalg.norm(camera_centers(pose) - camera_centers(mapped))) / depth
     turned_rad = rotation_angle_rad(pose[:3, :3] @ mapped[:3, :3].T)
     if moved > settings.farthest_of_depth or turned_rad > settings.widest_rad:
@@ -108,3 +116,19 @@ def confirm(
     return Closure(
         kind="confirmed", time_s=float(world.time_s[keyframe]), moved_of_depth=moved, turned_rad=turned_rad, scale=1.0
     )
+
+
+def _sure_pose(
+    world: Map, guess: np.ndarray, xyz: np.ndarray, features: Features, rows: np.ndarray, least: int,
+    camera: SlamCamera, settings: ReturnSettings,
+) -> np.ndarray | None:  # fmt: skip
+    """cam_from_world by points (n, 3) that these features (rows, (n,)) show; None by too few, or an unsure one."""
+    if len(rows) < least:
+        return None
+    seen, scales = features.xy_px[rows].astype(np.float64), world.scales[features.octave[rows]]
+    fit = optimize_pose(guess, xyz, seen, scales, camera.intrinsics)
+    fitting = fit.inliers
+    sure = fitting.sum() >= least and is_certain(
+        fit.cam_from_world, xyz[fitting], seen[fitting], scales[fitting], camera.intrinsics, settings.certainty
+    )
+    return fit.cam_from_world if sure else None
