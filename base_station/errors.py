@@ -15,3 +15,8 @@ class StationError(Exception):
 def never_learned(target: object) -> StationError:
     """Of a target that no frame let learn."""
     return StationError(f"The target {target} was never learned: it must lie in the picture and have texture.")
+
+
+def counted(number: int, one: str, several: str = "") -> str:
+    """ "1 picture", "2 pictures"."""
+    return f"{number} {one if number == 1 else several or one + 's'}"

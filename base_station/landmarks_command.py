@@ -16,7 +16,7 @@ import tyro
 from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
-from base_station.errors import StationError
+from base_station.errors import StationError, counted
 from base_station.geometry import DEFAULT_FOV_RAD, PinholeCamera
 from base_station.link import Link
 from base_station.output_files import check_output
@@ -169,7 +169,7 @@ def _learn(action: Learn) -> None:
         raise StationError(f"Cannot learn {action.name!r}: {error}.") from error
     write_landmarks(action.memory, memory.landmarks)
     how = "learned anew, and replaced," if action.name in {landmark.name for landmark in kept} else "learned"
-    print(f"{how} {action.name!r} ({_what(box)}); {action.memory} holds {_count(len(memory))}")
+    print(f"{how} {action.name!r} ({_what(box)}); {action.memory} holds {counted(len(memory), 'landmark')}")
 
 
 def _check_name(name: str) -> None:
@@ -188,7 +188,7 @@ def _forget(action: Forget) -> None:
     if action.name not in {landmark.name for landmark in kept}:
         raise StationError(unknown_text(action.name, action.memory, [landmark.name for landmark in kept]), usage=True)
     write_landmarks(action.memory, [landmark for landmark in kept if landmark.name != action.name])
-    print(f"forgot {action.name!r}; {action.memory} holds {_count(len(kept) - 1)}")
+    print(f"forgot {action.name!r}; {action.memory} holds {counted(len(kept) - 1, 'landmark')}")
 
 
 def _list(action: List) -> None:
@@ -258,7 +258,7 @@ def _find(action: Find) -> None:
             f"  confidence {row['confidence']:.2f}"
         )
     if not rows:
-        print(f"none of {_count(len(memory))} is in view")
+        print(f"none of {counted(len(memory), 'landmark')} is in view")
 
 
 def unknown_text(name: str, memory: Path, known: list[str]) -> str:
@@ -291,7 +291,7 @@ def _read(path: Path, number: int) -> np.ndarray:
     if path.is_dir():
         names = sorted(p for p in path.iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg", ".pgm", ".bmp"))
         if number > len(names):
-            many = f"{len(names)} picture{'s' if len(names) != 1 else ''}"
+            many = counted(len(names), "picture")
             raise StationError(f"{path} holds {many}, there is no number {number}.", usage=True)
         path, number = names[number - 1], 1
     if not path.is_file():
@@ -329,10 +329,6 @@ def _live(source: Source) -> tuple[Frame, Box | None]:
 
 def _what(box: Box | None) -> str:
     return "a place" if box is None else f"{box.width:.0f}x{box.height:.0f} px"
-
-
-def _count(number: int) -> str:
-    return f"{number} landmark" + ("" if number == 1 else "s")
 
 
 def _box_numbers(box: Box | None) -> list[float] | None:

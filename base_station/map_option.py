@@ -30,9 +30,9 @@ def check_map(path: Path | None, names: Iterable[str | None]) -> None:
 def trackers_with_map(
     path: Path | None, say: Callable[[str], None], *, single_process: bool = False
 ) -> Callable[[str], Tracker]:  # fmt: skip
-    """As `make_tracker`, but with the map where the tracker has one; `say` gets a line about it. `single_process`: so
-    that it maps within the frame."""
-    if path is None:
+    """As `make_tracker`, but with the map where the tracker has one; `say` gets a line about it. `single_process`: one
+    that maps does so within the frame, and the same frames then give the same results."""
+    if path is None and not single_process:
         return make_tracker
 
     def make(name: str) -> Tracker:

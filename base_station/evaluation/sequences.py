@@ -18,7 +18,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from base_station.errors import StationError
+from base_station.errors import StationError, counted
 from base_station.evaluation.overlap import has_box, read_truth, score_boxes
 from base_station.geometry import PinholeCamera
 from base_station.trackers.base import Tracker
@@ -163,11 +163,6 @@ def _numbers(pictures: Sequence[Path]) -> list[int] | None:
         return None
     numbers = [number for _, number in named]
     return numbers if len(set(numbers)) == len(numbers) else None
-
-
-def counted(number: int, one: str, several: str = "") -> str:
-    """ "1 picture", "2 pictures"."""
-    return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def run_sequence(sequence: Recording, follower: Follower, on_frame: Callable[[], None] = lambda: None) -> SequenceScore:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from pathlib import Path
 
 from base_station.errors import StationError
 from base_station.kits import KitMaker
 from base_station.landmarks_command import DEFAULT_MEMORY
+from base_station.map_option import trackers_with_map
 from base_station.orders import LANDMARK
-from base_station.recording.replay import ReplayPlan, repeatable_tracker
+from base_station.recording.replay import ReplayPlan
 from base_station.recording.sources import RecordedRun, Source
 from base_station.trackers.registry import DEFAULT_TRACKER
+
+log = logging.getLogger(__name__)
 
 
 def recorded_tracker(source: Source) -> str:
@@ -37,14 +42,18 @@ def planned(source: Source, tracker: str | None, shadow: str | None) -> ReplayPl
     )
 
 
-def kits_of(source: Source, memory: Path | None) -> KitMaker:
-    """Trackers with the scale that was told to the recorded run."""
+def kits_of(
+    source: Source, memory: Path | None, map_file: Path | None = None, say: Callable[[str], None] = log.info
+) -> KitMaker:
+    """Trackers with the scale that was told to the recorded run, the same frames giving the same results; `map_file`,
+    `say`: see `trackers_with_map`."""
+    trackers = trackers_with_map(map_file, say, single_process=True)
     if not isinstance(source, RecordedRun):
-        return KitMaker(memory=memory or DEFAULT_MEMORY, trackers=repeatable_tracker)
+        return KitMaker(memory=memory or DEFAULT_MEMORY, trackers=trackers)
     recording = source.recording
     return KitMaker(
         memory=memory or Path(recording.option("memory") or DEFAULT_MEMORY),
         target_width_m=recording.length("target_width_m"),
         learned_distance_m=recording.length("learned_distance_m"),
-        trackers=repeatable_tracker,
+        trackers=trackers,
     )

@@ -19,7 +19,6 @@ from base_station.recording.sources import RecordedRun, Source, SourceFrame
 from base_station.station import Step
 from base_station.trackers.base import Tracker
 from base_station.trackers.own import FAILURES, told
-from base_station.trackers.registry import make_tracker
 from base_station.types import Frame, TrackerResult
 from base_station.watcher import Kit, Sighting, Watcher
 from protocol import STOP, Hello, Telemetry
@@ -136,15 +135,6 @@ def one_thread() -> Iterator[None]:
             yield
     finally:
         cv2.setNumThreads(threads)
-
-
-def repeatable_tracker(name: str) -> Tracker:
-    """As `make_tracker`, but one that maps does so within the frame: the same frames then give the same results."""
-    if name != "slam":
-        return make_tracker(name)
-    from base_station.trackers.slam.tracker import SlamTracker
-
-    return SlamTracker(single_process=True)
 
 
 def _obey(watcher: Watcher, order: Order, plan: ReplayPlan, kits: Kits) -> bool:

@@ -18,7 +18,7 @@ from base_station.display import short_name
 from base_station.errors import StationError, never_learned
 from base_station.evaluation.tracking_command import check_options, plain_console
 from base_station.landmarks_command import parse_box
-from base_station.map_option import check_map, trackers_with_map
+from base_station.map_option import check_map
 from base_station.output_files import write_json
 from base_station.recording.agreement import Agreement, agreement
 from base_station.recording.planning import kits_of, planned
@@ -157,10 +157,7 @@ def _played(
         observers = _observers(command, plan, source, stack)
         if audience is not None:
             observers.append(audience.step)
-        kits = kits_of(source, command.memory)
-        if command.map is not None:
-            say = functools.partial(_say, console)
-            kits = dataclasses.replace(kits, trackers=trackers_with_map(command.map, say, single_process=True))
+        kits = kits_of(source, command.memory, command.map, functools.partial(_say, console))
         for replayed in stack.enter_context(closing(replay(source, plan, kits, speed=speed))):
             robot.tracker = replayed.tracker
             steering.note(replayed, shadow=False)

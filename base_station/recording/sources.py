@@ -14,9 +14,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from base_station.errors import StationError
+from base_station.errors import StationError, counted
 from base_station.evaluation.overlap import has_box, read_truth
-from base_station.evaluation.sequences import IMAGE_FOLDER, TRUTH_FILE, check_numbers, counted, in_order
+from base_station.evaluation.sequences import IMAGE_FOLDER, TRUTH_FILE, check_numbers, in_order
 from base_station.evaluation.slam.sequence import PICTURE_SUFFIXES, SlamSequence, read_gray, read_sequence
 from base_station.geometry import PinholeCamera
 from base_station.orders import Order

@@ -32,7 +32,7 @@ from base_station.output_files import check_output, write_json
 from base_station.trackers.own import close_tracker
 from base_station.trackers.registry import made_from_file
 from base_station.trackers.slam.camera import SlamCamera
-from base_station.trackers.slam.map_file import read_map, write_map
+from base_station.trackers.slam.map_file import leave_map, take_up_map
 from base_station.trackers.slam.saved_map import SavedMap
 
 OWN = "slam"
@@ -97,7 +97,7 @@ def evaluate_slam(command: EvaluateSlam) -> None:
 def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
     """A new system, shown the sequence in one thread of OpenCV's, and closed whatever happens. Raises StationError."""
     threads = cv2.getNumThreads()
-    saved = _read_map(command.map)
+    saved = take_up_map(command.map, _say) if command.map is not None and command.map.exists() else None
     with Console(stderr=True).status("getting ready (the first time its kernels are compiled)"):
         slam = make_slam(
             command.tracker, sequence.camera, single_process=command.single_process, seed=command.seed, saved=saved
@@ -108,11 +108,15 @@ def run_slam(command: EvaluateSlam, sequence: SlamSequence) -> SlamRun:
             task = progress.add_task("pictures", total=len(sequence))
             run = show(sequence, slam, realtime=command.realtime, on_frame=lambda: progress.advance(task))
         if command.map is not None and isinstance(slam, KeepsMap):
-            _write_map(command.map, slam.saved())
+            leave_map(command.map, slam.saved(), _say)
         return run
     finally:
         cv2.setNumThreads(threads)
         close_tracker(slam)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)
 
 
 @runtime_checkable
@@ -120,22 +124,6 @@ class KeepsMap(Protocol):
     """A system whose map can be kept, see `SlamSystem.saved`."""
 
     def saved(self) -> SavedMap | None: ...
-
-
-def _read_map(path: Path | None) -> SavedMap | None:
-    if path is None or not path.exists():
-        return None
-    saved = read_map(path)
-    print(f"map: {saved.told} from {path}", file=sys.stderr)
-    return saved
-
-
-def _write_map(path: Path, saved: SavedMap | None) -> None:
-    if saved is None:
-        print(f"map: too little was seen to be kept, {path} is not written", file=sys.stderr)
-        return
-    write_map(path, saved)
-    print(f"map: {saved.told} to {path}", file=sys.stderr)
 
 
 def make_slam(

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from base_station.errors import StationError
+from base_station.errors import StationError, counted
 from base_station.evaluation.slam.camera_files import (
     CameraFile,
     freiburg_camera,
@@ -75,7 +75,7 @@ def read_sequence(folder: Path, *, camera: str | None = None, max_frames: int | 
     times = np.array(found.times_s[:max_frames])
     pictures = found.pictures[:max_frames]
     if len(pictures) < LEAST_PICTURES:
-        many = f"{len(pictures)} picture{'s' if len(pictures) != 1 else ''}"
+        many = counted(len(pictures), "picture")
         raise StationError(f"{folder} lists {many}; at least {LEAST_PICTURES} are needed.", usage=True)
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise StationError(f"{folder}: the times of the pictures must rise.")

@@ -11,6 +11,7 @@ import math
 import struct
 import tokenize
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,22 @@ def write_map(path: Path, saved: SavedMap) -> None:
         if count > most:
             raise StationError(f"{path}: a map of {count} {name} is not saved; a file holds {most} at the most.")
     replace_file(path, lambda file: np.savez(file, **arrays))
+
+
+def take_up_map(path: Path, say: Callable[[str], None]) -> SavedMap:
+    """As `read_map`, and a line that tells what was read."""
+    saved = read_map(path)
+    say(f"map: {saved.told} from {path}")
+    return saved
+
+
+def leave_map(path: Path, saved: SavedMap | None, say: Callable[[str], None]) -> None:
+    """As `write_map`, and a line that tells it. What is on file stays there when nothing is worth keeping."""
+    if saved is None:
+        say(f"map: too little was seen to be kept, {path} is not written")
+        return
+    write_map(path, saved)
+    say(f"map: {saved.told} to {path}")
 
 
 def read_map(path: Path) -> SavedMap:

@@ -130,9 +130,7 @@ class Mapper:
     def take_up(self, saved: SavedMap) -> MapUpdate:
         """Go on in a map of an earlier run. Who sent it has it already: no rows come back."""
         began = time.perf_counter()
-        saved.fill(self.map)
-        for row, words in enumerate(saved.words):
-            self._places.add(row, words)
+        saved.fill(self.map, self._places)
         return self._changes("taken up", began)
 
     def insert(self, new: NewKeyframe, busy: Callable[[], bool] = lambda: False) -> MapUpdate:

@@ -15,15 +15,14 @@ import os
 import queue
 import signal
 import threading
-import traceback
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, Protocol
 
 from threadpoolctl import threadpool_limits
 
 from base_station.errors import StationError
+from base_station.trackers.own import told
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.map import MapUpdate
 from base_station.trackers.slam.mapper import Forget, Mapper, NewKeyframe, NewMap, Settle, TakeUp
@@ -209,9 +208,7 @@ def _run(camera: SlamCamera, settings: SlamSettings, work: Connection, updates: 
             try:
                 answer: MapUpdate | Failure = do(mapper, asked, work.poll)
             except Exception as error:  # whatever it was, who waits for the map must be told
-                place = traceback.extract_tb(error.__traceback__)[-1]
-                where = f"{Path(place.filename).name}, line {place.lineno}"
-                answer = Failure(f"SLAM's mapper failed: {type(error).__name__}: {error} ({where}).")
+                answer = Failure(f"SLAM's mapper failed: {told(error)}.")
             updates.send(answer)
             if isinstance(answer, Failure):
                 return

@@ -17,6 +17,7 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import Features, FeatureSettings
 from base_station.trackers.slam.lens import Lens
 from base_station.trackers.slam.map import NONE, Map
+from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.vocabulary import Vocabulary
 
 SAME_PX = 1e-3
@@ -129,8 +130,8 @@ class SavedMap:
         xy_px = camera.undistort(before.distort(xy_px)).astype(np.float32)
         return replace(self, camera=camera, lens=(1.0, 0.0), columns=self.columns | {"xy_px": xy_px})
 
-    def fill(self, world: Map) -> None:
-        """Into a Map that is empty, with room for as many features a picture."""
+    def fill(self, world: Map, places: Places) -> None:
+        """Into a Map that is empty, with room for as many features a picture, and the places to recognise in it."""
         mine = self.columns
         ends = np.cumsum(mine["feature_counts"])[:-1]
         for row, (features, seen) in enumerate(zip(self.features, np.split(mine["point_of"], ends), strict=True)):
@@ -148,6 +149,8 @@ class SavedMap:
         world.count_observed(rows)
         world.lens = self.lens
         world.take_changes()  # whoever has a copy fills it from here, too
+        for row, words in enumerate(self.words):
+            places.add(row, words)
 
 
 def _renumbered(world: Map, seen: np.ndarray, keyframes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -138,9 +138,7 @@ class SlamSystem:
 
     def _take_up(self, saved: SavedMap) -> None:
         """As after a loss, but that nothing is known of the last picture."""
-        saved.fill(self._map)
-        for row, words in enumerate(saved.words):
-            self._places.add(row, words)
+        saved.fill(self._map, self._places)
         self._link.send(TakeUp(saved))
         self._next_row = self._taken_up = self._map.keyframe_count
         self._next_component = int(saved.columns["component"].max()) + 1

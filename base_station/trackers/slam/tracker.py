@@ -24,7 +24,7 @@ from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.lens import Lens, through
 from base_station.trackers.slam.map import NONE, Map
-from base_station.trackers.slam.map_file import read_map, write_map
+from base_station.trackers.slam.map_file import leave_map, take_up_map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.saved_map import SavedMap
@@ -102,9 +102,8 @@ class SlamTracker(PatchTracker):
         if not self._map_file.exists():
             self._say(f"map: a new one, {self._map_file} is written at the end")
             return None
-        saved = read_map(self._map_file)
+        saved = take_up_map(self._map_file, self._say)
         _ = saved.words  # computed once, and kept
-        self._say(f"map: {saved.told} from {self._map_file}")
         return saved
 
     @property
@@ -307,14 +306,7 @@ class SlamTracker(PatchTracker):
         try:
             self._slam.finish()
         finally:  # with what there is, when the mapper has failed
-            self._write_map(self._map_file, self._slam.saved())
-
-    def _write_map(self, path: Path, saved: SavedMap | None) -> None:
-        if saved is None:
-            self._say(f"map: too little was seen to be kept, {path} is not written")
-            return
-        write_map(path, saved)
-        self._say(f"map: {saved.told} to {path}")
+            leave_map(self._map_file, self._slam.saved(), self._say)
 
     def _end_mapper(self) -> None:
         if self._slam is not None:

@@ -15,6 +15,7 @@ from base_station.trackers.slam.features import Features, FeatureSettings
 from base_station.trackers.slam.lens import Lens
 from base_station.trackers.slam.map import Map
 from base_station.trackers.slam.map_file import SHAPES, read_map, write_map
+from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.saved_map import SavedMap
 
 CAMERA = SlamCamera(width_px=320, height_px=240, fx=260.0, fy=261.0, cx=159.5, cy=119.5, distortion=(0.1, -0.05, 0, 0))
@@ -89,7 +90,7 @@ def test_what_is_read_is_what_was_written(file, saved):
 def test_a_map_filled_from_a_file_is_the_one_that_was_saved(file):
     """But for dead rows, which are left out: with them the numbers change, and with none they do not."""
     old, new = some_map(), Map(SETTINGS.count, SCALES)
-    read_map(file).ready_for(CAMERA, SETTINGS).fill(new)
+    read_map(file).ready_for(CAMERA, SETTINGS).fill(new, Places(new))
     kept = old.keyframes_alive()
     assert (new.keyframe_count, new.point_count) == (8, 60)
     assert [new.neighbours(row, 9).tolist() for row in range(8)] == [
@@ -107,7 +108,7 @@ def test_a_map_filled_from_a_file_is_the_one_that_was_saved(file):
     twice = Map(SETTINGS.count, SCALES)
     again = SavedMap.of(new, CAMERA, 3)
     assert again is not None
-    again.fill(twice)
+    again.fill(twice, Places(twice))
     for name in COLUMNS:
         assert np.array_equal(getattr(new, name), getattr(twice, name)), name
     assert twice.lens == (1.01, -0.02)
