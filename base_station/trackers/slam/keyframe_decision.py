@@ -1,5 +1,7 @@
 """Which pictures become keyframes: those that see much less of the map than their reference does.
 
+How much less, depends on how far the camera has come: a picture from aside tells depths, one from a turn on the spot
+none, and a keyframe of it is only one more for what is there.
 A camera that stands sees nothing new: the map does not grow meanwhile, however long that is. Only when it sees less
 than its keyframe did is another one taken, which then is what is seen.
 Many are taken and many are culled again (Mur-Artal et al. 2015, section V-E): a keyframe too many costs some time, one
@@ -26,6 +28,11 @@ class KeyframeSettings:
 
     seen_share: float = 0.7
     """Of the reference keyframe's points that a picture must still see..."""
+    far_share: float = 0.85
+    """...and a picture from so far off that it tells depths..."""
+    far_step: float = 0.04
+    """...which is so far from the last keyframe, of the median depth. A car leaves what it sees within some pictures:
+    points that few keyframes see are not found again, and each of them takes the scale along..."""
     urgent_share: float = 0.4
     """...and below which it is kept although the mapper is at work."""
     most_frames: int = 10
@@ -43,28 +50,45 @@ class KeyframeSettings:
     """...and has turned less stands."""
 
 
+@dataclass(frozen=True)
+class Moved:
+    """How a camera has moved: `step` as a share of the median depth, and by which angle it has turned."""
+
+    step: float
+    turn_rad: float
+
+    def stands(self, settings: KeyframeSettings) -> bool:
+        """Whether it is still where it was."""
+        return self.step < settings.least_step and self.turn_rad < settings.least_turn_rad
+
+
+ELSEWHERE = Moved(math.inf, math.inf)
+"""There was no keyframe before, or it was in another map."""
+
+
 def wants_keyframe(
-    settings: KeyframeSettings, *, frames_since: int, matches: int, share: float, waiting: int, stands: bool
+    settings: KeyframeSettings, *, frames_since: int, matches: int, share: float, waiting: int, moved: Moved
 ) -> bool:
     """Whether to keep this picture.
 
     `share`: of the reference keyframe's points, those that it sees; `waiting`: keyframes that the mapper has not
-    finished; `stands`: the camera has not moved since the last keyframe (`is_where`).
+    finished; `moved`: since the last keyframe (`moved_since`).
     """
     if matches < settings.least_matches or frames_since < settings.least_frames or waiting > settings.queue:
         return False
+    stands = moved.stands(settings)
     if waiting:
         return share < settings.urgent_share and not stands
     if stands:  # what it sees less of is hidden, or in another light: that becomes known, but not in every picture
         return share < settings.seen_share and frames_since >= settings.most_frames
-    return share < settings.seen_share or frames_since >= settings.most_frames
+    must_see = settings.far_share if moved.step >= settings.far_step else settings.seen_share
+    return share < must_see or frames_since >= settings.most_frames
 
 
-def is_where(settings: KeyframeSettings, cam_from_world: np.ndarray, before: np.ndarray, depth: float) -> bool:
-    """Whether a camera is still where one (`before`, cam_from_world as well) was. `depth`: the median of its points."""
+def moved_since(before: np.ndarray, cam_from_world: np.ndarray, depth: float) -> Moved:
+    """How a camera has moved from one pose (cam_from_world) to another. `depth`: the median of its points."""
     step = float(np.linalg.norm(camera_centers(cam_from_world) - camera_centers(before)))
-    turn_rad = rotation_angle_rad(cam_from_world[:3, :3] @ before[:3, :3].T)
-    return step < settings.least_step * depth and turn_rad < settings.least_turn_rad
+    return Moved(step / depth, rotation_angle_rad(cam_from_world[:3, :3] @ before[:3, :3].T))
 
 
 def share_seen(

@@ -19,7 +19,7 @@ from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer
-from base_station.trackers.slam.keyframe_decision import is_where, share_seen, wants_keyframe
+from base_station.trackers.slam.keyframe_decision import ELSEWHERE, Moved, moved_since, share_seen, wants_keyframe
 from base_station.trackers.slam.lens import Lens, look_through, through
 from base_station.trackers.slam.map import NONE, Map, MapUpdate
 from base_station.trackers.slam.mapper import Forget, NewKeyframe, NewMap, Settle, TakeUp
@@ -292,7 +292,7 @@ class SlamSystem:
             matches=found.matches,
             share=self._share_seen(picture, reference),
             waiting=self._link.waiting(),
-            stands=self._stands(found),
+            moved=self._moved(found),
         )
         if kept:
             self._keep(picture, where)
@@ -308,14 +308,14 @@ class SlamSystem:
         world, least = self._map, self.settings.keyframes.least_matches
         return share_seen(world.point_of[reference], picture.point_of, world.point_alive, world.observed, least)
 
-    def _stands(self, found: Located) -> bool:
-        """Whether the camera is still where the last keyframe was taken."""
+    def _moved(self, found: Located) -> Moved:
+        """How the camera has moved since the last keyframe was taken."""
         kept, world = self._kept, self._map
         if kept is None or world.component[world.living(kept.reference)] != self._component:
-            return False
+            return ELSEWHERE
         before = world.pose_by(kept.reference, kept.cam_from_reference, kept.size)
         seen = transform(found.cam_from_world, world.xyz[found.point_of[found.point_of >= 0]])
-        return is_where(self.settings.keyframes, found.cam_from_world, before, float(np.median(seen[:, 2])))
+        return moved_since(before, found.cam_from_world, float(np.median(seen[:, 2])))
 
     def _keep(self, picture: Picture, where: _Tracked) -> None:
         self._keyframe_frame, self._kept = self._counts.frames, where
