@@ -61,11 +61,6 @@ class Moved:
         """Whether it is still where it was."""
         return self.step < settings.least_step and self.turn_rad < settings.least_turn_rad
 
-    def is_far(self, settings: KeyframeSettings) -> bool:
-        """Whether it has gone on, more than it has turned: in a turn other things come into view than those whose
-        depths are to be told."""
-        return self.step >= max(settings.far_step, self.turn_rad)
-
 
 ELSEWHERE = Moved(math.inf, math.inf)
 """There was no keyframe before, or it was in another map."""
@@ -86,7 +81,7 @@ def wants_keyframe(
         return share < settings.urgent_share and not stands
     if stands:  # what it sees less of is hidden, or in another light: that becomes known, but not in every picture
         return share < settings.seen_share and frames_since >= settings.most_frames
-    must_see = settings.far_share if moved.is_far(settings) else settings.seen_share
+    must_see = settings.far_share if moved.step >= settings.far_step else settings.seen_share
     return share < must_see or frames_since >= settings.most_frames
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from base_station.trackers.slam.bundle_kernels import adjust_small
 from base_station.trackers.slam.bundle_problem import BundleProblem
-from base_station.trackers.slam.epipolar_fit import fitted_motions
 from base_station.trackers.slam.pose_optimization import CHI2_TWO
 from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad
 from base_station.trackers.slam.triangulation import believable, fundamental_matrix, parallax_cosines, triangulate
@@ -134,8 +133,7 @@ def _best_motion(
     if not _is_wide(best, share, settings):
         return "the camera has not moved enough"
     seen = inliers[best.good]
-    turn, off_turn = _best_turn(one[seen], two[seen], camera_matrix)
-    moved = off_turn / sigma[1][seen]
+    moved = _turn_residual(one[seen], two[seen], camera_matrix) / sigma[1][seen]
     clearly = max(settings.moved_px, settings.moved_sigmas * 1.4826 * float(np.median(best.residual[best.good])))
     if (moved > clearly).sum() < max(settings.moved_share * len(moved), settings.least_points):
         return "the camera has only turned"
@@ -144,9 +142,6 @@ def _best_motion(
     ]
     if max(others, default=0.0) > (1.0 - settings.lead_share) * max(scores):
         return "two motions explain it"
-    others_found = _fitted(best, turn, seen_one, seen_two, camera_matrix, fine)
-    believed = [best, *(other for other in others_found if _is_wide(other, share, settings))]
-    best = believed[int(np.argmax(_scores(believed)))]
     good = best.good.copy()
     good[good] = _cosines(best) < math.cos(settings.kept_parallax_rad)
     return TwoView(best.motion, best.points[good], inliers[good], planar)
@@ -208,22 +203,6 @@ def _refined(
     return _try(pose_of(poses[1, :3, :3], poses[1, :3, 3] / length), one, two, intrinsics, sigma)
 
 
-def _fitted(
-    best: _Try,
-    turn: np.ndarray,
-    one: np.ndarray,
-    two: np.ndarray,
-    camera_matrix: np.ndarray,
-    sigma: tuple[np.ndarray, np.ndarray],
-) -> list[_Try]:
-    """Motions at lowest places of the cost, which may fit more exactly than the best so far. `turn`: the pure one."""
-    intrinsics = np.array([camera_matrix[0, 0], camera_matrix[1, 1], camera_matrix[0, 2], camera_matrix[1, 2]])
-    rows = np.flatnonzero(best.good)
-    fitted = fitted_motions(best.motion, turn, one[rows], two[rows], camera_matrix, np.maximum(*sigma)[rows])
-    both = [pose_of(motion[:3, :3], sign * motion[:3, 3]) for motion in fitted for sign in (1.0, -1.0)]
-    return [_try(motion, one, two, intrinsics, sigma) for motion in both if np.isfinite(motion).all()]
-
-
 def _scores(tried: list[_Try]) -> list[float]:
     """Of each motion. Wrong ones may explain all matches within the usual bound, but not as exactly as the right one:
     what counts as exact is taken from the most exact motion (its median, as a standard deviation)."""
@@ -241,8 +220,8 @@ def _same(one: np.ndarray, two: np.ndarray, settings: TwoViewSettings) -> bool:
     return turn < settings.same_rotation_rad and direction < settings.same_direction_rad
 
 
-def _best_turn(one: np.ndarray, two: np.ndarray, camera_matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation that fits best (3x3), and px (n,) by which each match differs from what it makes of it.
+def _turn_residual(one: np.ndarray, two: np.ndarray, camera_matrix: np.ndarray) -> np.ndarray:
+    """Px (n,) by which each match differs from what the rotation that fits best makes of it.
 
     A turn and a step aside look much alike: what is taken for parallax may be the rest of a turn not quite known.
     """
@@ -251,13 +230,13 @@ def _best_turn(one: np.ndarray, two: np.ndarray, camera_matrix: np.ndarray) -> t
     for uv in (one, two):
         ray = np.column_stack([(uv - (cx, cy)) / (fx, fy), np.ones(len(uv))])
         rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    weights, residual, rotation = np.ones(len(one)), np.zeros(len(one)), np.eye(3)
+    weights, residual = np.ones(len(one)), np.zeros(len(one))
     for _ in range(TURN_ROUNDS):
         u, _, vt = np.linalg.svd((rays[1] * weights[:, None]).T @ rays[0])
         rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
         residual = np.linalg.norm(rays[1] - rays[0] @ rotation.T, axis=1) * fx
         weights = 1.0 / np.maximum(residual, 1.0)
-    return rotation, residual
+    return residual
 
 
 def epipolar_score(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from base_station.trackers.slam.keyframe_decision import (
+    ELSEWHERE,
     KeyframeSettings,
     Moved,
     moved_since,
@@ -15,7 +16,7 @@ from base_station.trackers.slam.keyframe_decision import (
 )
 
 SETTINGS = KeyframeSettings()
-STANDS, TURNED, NEAR, FAR = Moved(0.005, 0.001), Moved(0.05, 0.1), Moved(0.03, 0.001), Moved(0.05, 0.001)
+STANDS, TURNED, NEAR, FAR = Moved(0.005, 0.001), Moved(0.005, 0.1), Moved(0.03, 0.001), Moved(0.05, 0.001)
 
 
 def wanted(*, share: float, moved: Moved, frames_since: int = 2, matches: int = 100, waiting: int = 0) -> bool:
@@ -40,7 +41,7 @@ def test_from_nearby_a_picture_is_kept_that_sees_much_less(moved):
     assert wanted(share=0.65, moved=moved)
 
 
-@pytest.mark.parametrize("moved", [FAR, Moved(0.2, 0.1)])
+@pytest.mark.parametrize("moved", [FAR, ELSEWHERE])
 def test_from_further_on_it_is_kept_sooner(moved):
     assert not wanted(share=0.9, moved=moved)
     assert wanted(share=0.75, moved=moved)
