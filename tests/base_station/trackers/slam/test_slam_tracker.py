@@ -87,17 +87,17 @@ def test_the_learned_picture_follows_the_lens_that_the_whole_map_finds(seen):
     slam = tracker.slam
     slam.finish()  # no older word of the lens is on its way
     tracker.update(frame(path(49), 59))
-    learned = tracker._features
+    learned = tracker._placement.features
     before, found = Lens(*slam.map.lens), Lens(1.02, 0.01)
     for world in (slam.map, slam._link.mapper.map):
         look_through(world, found, slam._camera)
     tracker.update(frame(path(49), 60))
-    assert np.allclose(tracker._features.xy_px, through(learned, before, found, slam._camera).xy_px)
-    assert np.abs(tracker._features.xy_px - learned.xy_px).max() > 0.5
+    assert np.allclose(tracker._placement.features.xy_px, through(learned, before, found, slam._camera).xy_px)
+    assert np.abs(tracker._placement.features.xy_px - learned.xy_px).max() > 0.5
     for world in (slam.map, slam._link.mapper.map):
         look_through(world, before, slam._camera)
     tracker.update(frame(path(49), 61))
-    assert np.abs(tracker._features.xy_px - learned.xy_px).max() < 0.01
+    assert np.abs(tracker._placement.features.xy_px - learned.xy_px).max() < 0.01
 
 
 def test_a_calibrated_lens_is_taken_into_account():
