@@ -103,7 +103,10 @@ def judge(
     scene = _Scene.of(world, learned, picture, cam_from_world, pairs, np.flatnonzero(told), settings, without)
     if scene is None:
         return None
-    tried = [scene.adjusted(guess, camera, settings) for guess in guesses]
+    adjusted = [scene.adjusted(guess, camera, settings) for guess in guesses]
+    tried = [one for one in adjusted if one is not None]
+    if not tried:
+        return None
     best = min(tried, key=lambda one: one.cost)
     apart = [
         one.cost - best.cost for one in tried
@@ -235,8 +238,9 @@ class _Scene:
         problem = self.problem
         return max(1, 2 * len(problem.point) - 3 * len(problem.points) - 6 * len(problem.poses) + 7)
 
-    def adjusted(self, guess: _Guess, camera: SlamCamera, settings: TwinSettings) -> _Adjusted:
-        """All of it, begun from this guess. The pose is the map's: seen from the picture of now, and in its size."""
+    def adjusted(self, guess: _Guess, camera: SlamCamera, settings: TwinSettings) -> _Adjusted | None:
+        """All of it, begun from this guess. The pose is the map's: seen from the picture of now, and in its size. None
+        when the target ends up behind the camera."""
         problem = self._begun(guess, camera)
         poses, xyz, cost = adjust_with_cost(
             problem, camera.intrinsics, self.scales, iterations=settings.iterations, enough=1e-4
@@ -249,11 +253,15 @@ class _Scene:
         fits = np.zeros(self.pairs, np.bool_)
         fits[self.rows] = (here[:, 2] > 0) & (chi2 <= CHI2_TWO)
         now = self.problem.poses[-2]
-        size = np.median(transform(now, self.problem.points[self.points])[:, 2]) / np.median(
-            transform(poses[-2], xyz[self.points])[:, 2]
+        before, after = (
+            float(np.median(transform(pose, points[self.points])[:, 2]))
+            for pose, points in ((now, self.problem.points), (poses[-2], xyz))
         )
         learned_from_now = poses[-1] @ inverse(poses[-2])
-        return _Adjusted(pose_of(learned_from_now[:3, :3], learned_from_now[:3, 3] * size) @ now, cost, fits)
+        if not (before > 0 and after > 0 and np.isfinite(learned_from_now).all()):
+            return None
+        moved = learned_from_now[:3, 3] * (before / after)
+        return _Adjusted(pose_of(learned_from_now[:3, :3], moved) @ now, cost, fits)
 
     def _begun(self, guess: _Guess, camera: SlamCamera) -> BundleProblem:
         """The pairs' points where the guess has them, and each keyframe where it sees them so."""
