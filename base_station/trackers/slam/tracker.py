@@ -149,18 +149,23 @@ class SlamTracker(PatchTracker):
         self._kept = False
         placement.update(slam, pose)
         if pose is None or placement.target is None:
-            result = replace(super().update(frame), cam_from_world=pose)
+            result = self._look_at(frame, pose)
             ahead = learned.is_place and result.bearing_rad is not None and abs(result.bearing_rad) < NEARLY_AHEAD_RAD
             return self._with_compass(frame, result, result.bearing_rad if ahead else None)
         if not (placement.is_keyframe or learned.is_place):
-            result = super().update(frame)
+            result = self._look_at(frame, pose)
             if result.state is TrackingState.TRACKING:  # what is seen is surer than where it may be in the map
-                return self._with_compass(frame, replace(result, cam_from_world=pose), None)
+                return self._with_compass(frame, result, None)
         confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
         result = result_of(placement.target, slam.map, pose, learned, frame.camera, confidence)
         if not placement.is_keyframe:  # its twin would be seen from the other side; which it is, moving will tell
             return replace(result, view_angle_rad=None, compass_rad=self._compass.update(frame))
         return self._with_compass(frame, result, heading_of(placement.target, slam.map, pose))
+
+    def _look_at(self, frame: Frame, pose: np.ndarray | None) -> TrackerResult:
+        """The target as the picture itself shows it, and the pose that the map knows."""
+        result = super().update(frame)
+        return replace(result, cam_from_world=pose) if result.state is TrackingState.TRACKING else result
 
     def _look_through(self, lens: Lens, placement: Placement) -> None:
         """The learned picture as the map now knows the lens: it was found by adjusting the whole."""
