@@ -80,10 +80,14 @@ class FeatureExtractor:
 
     @cached_property
     def _levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Memory for each level of the pyramid, and for it smoothed."""
+        """Memory for each level of the pyramid, and for it smoothed. It is used again by the next level but one, and by
+        the next: so it stays in the processor's cache."""
         sizes = [(round(self._camera.height_px / s), round(self._camera.width_px / s)) for s in self.scales]
+        sizes = [size for size in sizes if min(size) >= 2 * BORDER_PX + 8]
+        even, odd, smooth = (np.empty(self._camera.height_px * self._camera.width_px, np.uint8) for _ in range(3))
         return [
-            (np.empty(size, np.uint8), np.empty(size, np.uint8)) for size in sizes if min(size) >= 2 * BORDER_PX + 8
+            ((odd if octave % 2 else even)[: h * w].reshape(h, w), smooth[: h * w].reshape(h, w))
+            for octave, (h, w) in enumerate(sizes)
         ]
 
     @cached_property
