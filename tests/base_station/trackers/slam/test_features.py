@@ -131,14 +131,15 @@ def test_the_same_picture_gives_the_same_features():
 
 def test_which_thread_works_decides_nothing():
     extract = FeatureExtractor(CAMERA)
-    shared, gate = extract(PICTURE), threading.Event()
+    shared, alone, gate = extract(PICTURE), extract(PICTURE, shared=False), threading.Event()
     extract._other_thread.submit(gate.wait)  # a core that others have
     try:
-        alone = extract(PICTURE)
+        too_late = extract(PICTURE)
     finally:
         gate.set()
-    assert np.array_equal(shared.xy_px, alone.xy_px)
-    assert np.array_equal(shared.descriptors, alone.descriptors)
+    for found in (alone, too_late):
+        assert np.array_equal(shared.xy_px, found.xy_px)
+        assert np.array_equal(shared.descriptors, found.descriptors)
 
 
 def test_nothing_to_see_gives_no_features():
