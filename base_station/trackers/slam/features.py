@@ -1,7 +1,8 @@
 """ORB features, spread over the picture: corners of a pyramid (`corners.py`), described (`descriptors.py`).
 
 The features are OpenCV's ORB to the bit, but for which corners are taken. Two threads share the levels: what takes time
-is compiled, and lets the other one work. When the second one comes late, the first one has done its part.
+is compiled, and lets the other one work. While the mapper has the other core the second thread may come late, or not at
+all: then the first one has done its part.
 """
 
 from __future__ import annotations
@@ -109,8 +110,8 @@ class FeatureExtractor:
         width, height = self._camera.width_px, self._camera.height_px
         return np.array([(1.0, 1.0), *((width / level.shape[1], height / level.shape[0]) for level in self._smaller)])
 
-    def __call__(self, image: np.ndarray, *, shared: bool = True) -> Features:
-        """The features of a gray uint8 picture of the camera's size. `shared`: by two threads."""
+    def __call__(self, image: np.ndarray) -> Features:
+        """The features of a gray uint8 picture of the camera's size."""
         levels = [np.ascontiguousarray(image), *self._smaller]
         found = [(np.empty(0), np.empty(0), np.empty(0))] * len(levels)
         todo = deque([0])
@@ -119,14 +120,14 @@ class FeatureExtractor:
             while (octave := _next(todo)) is not None:
                 found[octave] = hand(levels[octave], self._quotas[octave], self.settings)
 
-        other = self._other_thread.submit(work, self._others) if shared else None
+        other = self._other_thread.submit(work, self._others)
         try:
             for level, smaller in pairwise(levels):
                 cv2.resize(level, smaller.shape[::-1], smaller, interpolation=cv2.INTER_LINEAR)
             todo.extend(range(1, len(levels)))
             work(self._mine)
         finally:
-            if other is not None and not other.cancel():
+            if not other.cancel():
                 other.result()
         octaves = np.repeat(np.arange(len(levels), dtype=np.uint8), [len(xy) for xy, _, _ in found])
         xy, angles, looks = (np.concatenate(part) for part in zip(*found, strict=True))

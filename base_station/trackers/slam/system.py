@@ -7,7 +7,6 @@ when that fails; then the keyframe decision. All that changes the map happens at
 from __future__ import annotations
 
 import math
-import os
 import time
 import weakref
 from collections import deque
@@ -37,8 +36,6 @@ from base_station.types import TrackingState
 
 __all__ = ["SlamCamera", "SlamFrame", "SlamSettings", "SlamStatistics", "SlamSystem"]
 
-CORES = os.cpu_count() or 1
-"""With two, a second thread for a picture's features is in the way of a mapper that is at work."""
 FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
@@ -163,7 +160,7 @@ class SlamSystem:
         if wrong:
             return self._lost(time_s, wrong)
         began = time.perf_counter()
-        features = self.features_of(image, shared=CORES > 2 or not self._link.waiting())
+        features = self.features_of(image)
         picture = Picture(time_s, features, Grid.of(features.xy_px, self._camera.bounds_px))
         self.last_picture = picture
         self._time("features", began)
@@ -388,9 +385,9 @@ class SlamSystem:
     def _time(self, stage: str, began: float) -> None:
         self._counts.note(stage, (time.perf_counter() - began) * 1e3)
 
-    def features_of(self, image: np.ndarray, *, shared: bool = True) -> Features:
-        """The features of a picture, as the map's lens has them; it is not tracked. `shared`: by two threads."""
-        return through(self._extract(image, shared=shared), Lens(), Lens(*self._map.lens), self._camera)
+    def features_of(self, image: np.ndarray) -> Features:
+        """The features of a picture, as the map's lens has them; it is not tracked."""
+        return through(self._extract(image), Lens(), Lens(*self._map.lens), self._camera)
 
     @property
     def map(self) -> Map:

@@ -131,15 +131,14 @@ def test_the_same_picture_gives_the_same_features():
 
 def test_which_thread_works_decides_nothing():
     extract = FeatureExtractor(CAMERA)
-    shared, alone, gate = extract(PICTURE), extract(PICTURE, shared=False), threading.Event()
+    shared, gate = extract(PICTURE), threading.Event()
     extract._other_thread.submit(gate.wait)  # a core that others have
     try:
-        too_late = extract(PICTURE)
+        alone = extract(PICTURE)
     finally:
         gate.set()
-    for found in (alone, too_late):
-        assert np.array_equal(shared.xy_px, found.xy_px)
-        assert np.array_equal(shared.descriptors, found.descriptors)
+    assert np.array_equal(shared.xy_px, alone.xy_px)
+    assert np.array_equal(shared.descriptors, alone.descriptors)
 
 
 def test_nothing_to_see_gives_no_features():
