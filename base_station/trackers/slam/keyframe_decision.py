@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from base_station.trackers.slam.se3 import camera_centers, rotation_angle_rad
+from base_station.trackers.slam.se3 import apart
 
 SURE_KEYFRAMES = 3
 """A point that so many keyframes see is one that is found again."""
@@ -62,8 +62,7 @@ def wants_keyframe(
 
 def is_where(settings: KeyframeSettings, cam_from_world: np.ndarray, before: np.ndarray, depth: float) -> bool:
     """Whether a camera is still where one (`before`, cam_from_world as well) was. `depth`: the median of its points."""
-    step = float(np.linalg.norm(camera_centers(cam_from_world) - camera_centers(before)))
-    turn_rad = rotation_angle_rad(cam_from_world[:3, :3] @ before[:3, :3].T)
+    step, turn_rad = apart(cam_from_world, before)
     return step < settings.least_step * depth and turn_rad < settings.least_turn_rad
 
 

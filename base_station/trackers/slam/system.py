@@ -28,7 +28,7 @@ from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.saved_map import SavedMap
-from base_station.trackers.slam.se3 import inverse, relative, transform
+from base_station.trackers.slam.se3 import inverse, median_depth, relative
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
 from base_station.trackers.slam.types import SlamFrame, SlamStatistics
@@ -281,8 +281,8 @@ class SlamSystem:
         if kept is None or world.component[world.living(kept.reference)] != self._component:
             return False
         before = world.pose_by(kept.reference, kept.cam_from_reference, kept.size)
-        seen = transform(found.cam_from_world, world.xyz[found.point_of[found.point_of >= 0]])
-        return is_where(self.settings.keyframes, found.cam_from_world, before, float(np.median(seen[:, 2])))
+        depth = median_depth(found.cam_from_world, world.xyz, found.point_of)
+        return is_where(self.settings.keyframes, found.cam_from_world, before, depth)
 
     def _keep(self, picture: Picture, where: Tracked) -> None:
         self._keyframe_frame, self._kept = self._history.frames, where
