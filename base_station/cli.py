@@ -64,6 +64,16 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    try:
+        code = _obey(arguments)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whoever read the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+
+
+def _obey(arguments: Sequence[str] | None) -> int:
     console = Console(stderr=True)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # of a file that is no video we speak ourselves
     arguments = spelt_out(list(sys.argv[1:] if arguments is None else arguments))
@@ -100,9 +110,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(command, Run) or (isinstance(command, Replay) and command.console):
             return EXIT_DONE  # to drive and to watch have no other end
         return _interrupted(console)
-    except BrokenPipeError:  # whoever read the output has enough of it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_DONE
     except StationError as error:
         return _failed(error, console)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -199,6 +201,16 @@ def test_help(programs: Programs) -> None:
     assert station.exit_code() == 0 and agent.exit_code() == 0
     assert "--behaviour" in station.stdout and "--tracker" in station.stdout
     assert "--rhythm" in agent.stdout and "--scenario" in agent.stdout
+
+
+@pytest.mark.parametrize("command", ["base_station run --help", "base_station trackers", "robot_agent --help"])
+def test_a_reader_that_has_enough_is_no_mistake(command: str) -> None:
+    """As `... --help | head` does, once it has its lines."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run((sys.executable, "-m", *command.split()), stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_flags_override_the_file(programs: Programs, tmp_path: Path) -> None:

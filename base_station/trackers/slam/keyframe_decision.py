@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from base_station.trackers.slam.se3 import camera_centers, rotation_angle_rad
+from base_station.trackers.slam.se3 import apart
 
 SURE_KEYFRAMES = 3
 """A point that so many keyframes see is one that is found again."""
@@ -87,8 +87,8 @@ def wants_keyframe(
 
 def moved_since(before: np.ndarray, cam_from_world: np.ndarray, depth: float) -> Moved:
     """How a camera has moved from one pose (cam_from_world) to another. `depth`: the median of its points."""
-    step = float(np.linalg.norm(camera_centers(cam_from_world) - camera_centers(before)))
-    return Moved(step / depth, rotation_angle_rad(cam_from_world[:3, :3] @ before[:3, :3].T))
+    step, turn_rad = apart(cam_from_world, before)
+    return Moved(step / depth, turn_rad)
 
 
 def share_seen(

@@ -40,35 +40,39 @@ def local_map(world: Map, seen: np.ndarray, reference: int) -> LocalMap:
 
 @njit(cache=True, nogil=True)
 def _local_map(point_of, shared, place, alive, component, point_alive, count, seen, reference):
-    marked = np.zeros(len(point_alive), np.bool_)
+    marked = np.zeros(len(point_alive) + 1, np.bool_)  # from point -1 on: which it is would be guessed wrong often
     for point in seen:
-        marked[point] = True
+        marked[point + 1] = True
     asked = np.empty(1 + ASKED + LATEST, np.int64)
     taken = np.zeros(count, np.bool_)
     n = _take(asked, 0, 1, np.array([reference]), taken, alive)
-    n = _take(asked, n, n + ASKED, _neighbours(shared, place, alive, count, reference), taken, alive)
+    neighbours = _neighbours(shared, place, alive, count, reference)
+    n = _take(asked, n, n + ASKED, neighbours, taken, alive)
     for latest in range(max(0, count - LATEST), count):
         if component[latest] == component[reference]:
             n = _take(asked, n, n + 1, np.array([latest]), taken, alive)
     votes = np.zeros(n, np.int64)
     for i in range(n):
         for point in point_of[asked[i]]:
-            votes[i] += point >= 0 and marked[point]
+            votes[i] += marked[np.uint64(point + 1)]
     order = np.argsort(-votes, kind="mergesort")
-    if n and votes[order[0]] > 0:
+    if n and votes[order[0]] > 0 and asked[order[0]] != reference:
         reference = asked[order[0]]
+        neighbours = _neighbours(shared, place, alive, count, reference)
     keyframes = np.empty(KEPT, np.int64)
     taken[:] = False
     kept = _take(keyframes, 0, KEPT, asked[:n][order][votes[order] > 0], taken, alive)
-    kept = _take(keyframes, kept, KEPT, _neighbours(shared, place, alive, count, reference), taken, alive)
+    kept = _take(keyframes, kept, KEPT, neighbours, taken, alive)
     points = np.empty(MOST_POINTS, np.int64)
     found = 0
+    marked[0] = True
     for keyframe in keyframes[:kept]:
         for point in point_of[keyframe]:
-            if point >= 0 and not marked[point] and point_alive[point] and found < MOST_POINTS:
-                marked[point] = True
-                points[found] = point
-                found += 1
+            if not marked[np.uint64(point + 1)]:
+                marked[np.uint64(point + 1)] = True
+                if point_alive[point] and found < MOST_POINTS:
+                    points[found] = point
+                    found += 1
     return reference, keyframes[:kept], points[:found]
 
 

@@ -196,7 +196,8 @@ def _post(outbox: queue.SimpleQueue[Work | None], pipe: Connection) -> None:
 
 
 def _run(camera: SlamCamera, settings: SlamSettings, work: Connection, updates: Connection, parent: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's, which then ends this process in order
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # they are the tracker's, which then ends this process in order
     threadpool_limits(1)  # for systems of some hundred unknowns a pool of threads only spins, on the tracker's core
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     rehearse_mapping()

@@ -76,6 +76,30 @@ def chi2_of(pose, point, u, v, weight, intrinsics):
 
 
 @njit(cache=True, nogil=True)
+def _cost(pose, points, uv, weights, used, intrinsics, robust):
+    """What `_linearize` gives back, a step that is tried needs no more."""
+    r00, r01, r02, t0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
+    r10, r11, r12, t1 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
+    r20, r21, r22, t2 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    cost = 0.0
+    for i in range(len(points)):
+        if not used[i]:
+            continue
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        z = r20 * a + r21 * b + r22 * c + t2
+        if z <= LEAST_DEPTH:
+            cost += 2.0 * CHI2_TWO
+            continue
+        over = 1.0 / z
+        x, y = (r00 * a + r01 * b + r02 * c + t0) * over, (r10 * a + r11 * b + r12 * c + t1) * over
+        du, dv = uv[i, 0] - fx * x - cx, uv[i, 1] - fy * y - cy
+        chi2 = weights[i] * (du * du + dv * dv)
+        cost += chi2 * 2.0 * np.sqrt(CHI2_TWO / chi2) - CHI2_TWO if robust and chi2 > CHI2_TWO else chi2
+    return cost
+
+
+@njit(cache=True, nogil=True)
 def _linearize(pose, points, uv, weights, used, intrinsics, robust, information, gradient):
     """Fill the normal equations (6, 6) and (6,); the cost comes back.
 
@@ -181,7 +205,6 @@ def _optimize_pose(start, points, uv, weights, intrinsics):
     pose = start.copy()
     used = np.ones(n, np.bool_)
     information, damped, gradient = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    tried_information, tried_gradient = np.zeros((6, 6)), np.zeros(6)
     error = np.inf
     for round_ in range(ROUNDS):
         robust = round_ < 2
@@ -196,16 +219,14 @@ def _optimize_pose(start, points, uv, weights, intrinsics):
             if not solved:
                 break
             tried = compose(exponential(step), pose)
-            tried_cost = _linearize(
-                tried, points, uv, weights, used, intrinsics, robust, tried_information, tried_gradient
-            )
+            tried_cost = _cost(tried, points, uv, weights, used, intrinsics, robust)
             if tried_cost < cost:
                 gain = cost - tried_cost
                 pose, cost = tried, tried_cost
-                information[:], gradient[:] = tried_information, tried_gradient
                 damping *= 0.1
                 if gain < 1e-4 * cost + 1e-12:
                     break
+                _linearize(pose, points, uv, weights, used, intrinsics, robust, information, gradient)
             else:
                 damping *= 100.0
                 if damping > 1e6:

@@ -12,13 +12,18 @@ from functools import cache
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
+from base_station.trackers.slam.chance import log10_false_alarms
 from base_station.trackers.slam.features import FeatureExtractor, Features
 from base_station.trackers.slam.initialization import Initializer, InitialPair
+from base_station.trackers.slam.keyframe_decision import share_seen
+from base_station.trackers.slam.map import Map
 from base_station.trackers.slam.mapper import Mapper, NewKeyframe, NewMap
 from base_station.trackers.slam.matching import Grid
+from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.se3 import exponential, transform
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Picture
+from base_station.trackers.slam.visibility import expect
 
 POINTS = 300
 STEPS = 4
@@ -73,6 +78,18 @@ def rehearse_tracking() -> None:
         found = tracker.locate_by(picture, 0) if tracker.last_pose is None else tracker.follow(picture)
         if not isinstance(found, str):
             tracker.remember(picture, found, moving=False)
+    _rehearse_places(world, view)
+    seen = world.point_of[0, :POINTS]
+    share_seen(seen, seen, world.point_alive, world.observed, 1)
+    expected = expect(world, seen[seen >= 0], np.eye(4), camera)
+    log10_false_alarms(world, expected, view, picture.grid, seen, POINTS)
+
+
+def _rehearse_places(world: Map, view: Features) -> None:
+    places = Places(world)
+    words = places.words(view)
+    places.add(0, words)
+    places.candidates(words)
 
 
 def _scene() -> tuple[np.ndarray, np.ndarray]:

@@ -46,6 +46,42 @@ def rotation_angle_rad(rotation: np.ndarray) -> float:
     return math.atan2(twice_sine, float(np.trace(r)) - 1.0)
 
 
+def apart(one_from_world: np.ndarray, two_from_world: np.ndarray) -> tuple[float, float]:
+    """How far apart two cameras stand, and by how much they are turned against each other, 0..pi rad: by
+    `camera_centers` and `rotation_angle_rad`, but sooner."""
+    distance, turn_rad = _apart(np.ascontiguousarray(one_from_world), np.ascontiguousarray(two_from_world))
+    return float(distance), float(turn_rad)
+
+
+@njit(cache=True, nogil=True)
+def _apart(one, two):
+    r, square = np.empty((3, 3)), 0.0
+    for i in range(3):
+        off = 0.0
+        for j in range(3):
+            off += two[j, i] * two[j, 3] - one[j, i] * one[j, 3]
+            r[i, j] = one[i, 0] * two[j, 0] + one[i, 1] * two[j, 1] + one[i, 2] * two[j, 2]
+        square += off * off
+    twice_sine = np.sqrt((r[2, 1] - r[1, 2]) ** 2 + (r[0, 2] - r[2, 0]) ** 2 + (r[1, 0] - r[0, 1]) ** 2)
+    return np.sqrt(square), np.arctan2(twice_sine, r[0, 0] + r[1, 1] + r[2, 2] - 1.0)
+
+
+def median_depth(cam_from_world: np.ndarray, points: np.ndarray, rows: np.ndarray) -> float:
+    """Of the points (n, 3) in these rows, but -1, before a camera; NaN without any."""
+    return float(_median_depth(np.ascontiguousarray(cam_from_world), points, rows))
+
+
+@njit(cache=True, nogil=True)
+def _median_depth(pose, points, rows):
+    depths, n = np.empty(len(rows)), 0
+    for row in rows:
+        if row >= 0:
+            depths[n] = pose[2, 0] * points[row, 0] + pose[2, 1] * points[row, 1] + pose[2, 2] * points[row, 2]
+            depths[n] += pose[2, 3]
+            n += 1
+    return np.median(depths[:n]) if n else np.nan
+
+
 def relative(one_from_world: np.ndarray, two_from_world: np.ndarray) -> np.ndarray:
     """one_from_two, 4x4, its rotation brought back to a true one (the nearest): products of many drift."""
     return _relative(np.ascontiguousarray(one_from_world), np.ascontiguousarray(two_from_world))

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 import time
 import weakref
-from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from base_station.trackers.slam import libraries
 from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import FeatureExtractor, Features
+from base_station.trackers.slam.history import History, Tracked
 from base_station.trackers.slam.initialization import Initializer
 from base_station.trackers.slam.keyframe_decision import ELSEWHERE, Moved, moved_since, share_seen, wants_keyframe
 from base_station.trackers.slam.lens import Lens, look_through, through
@@ -28,10 +28,10 @@ from base_station.trackers.slam.matching import Grid
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.relocalization import Places
 from base_station.trackers.slam.saved_map import SavedMap
-from base_station.trackers.slam.se3 import inverse, relative, transform
+from base_station.trackers.slam.se3 import inverse, median_depth, relative
 from base_station.trackers.slam.settings import SlamSettings
 from base_station.trackers.slam.tracking import FrameTracker, Located, Picture
-from base_station.trackers.slam.types import Closure, SlamFrame, SlamStatistics
+from base_station.trackers.slam.types import SlamFrame, SlamStatistics
 from base_station.types import TrackingState
 
 __all__ = ["SlamCamera", "SlamFrame", "SlamSettings", "SlamStatistics", "SlamSystem"]
@@ -40,38 +40,9 @@ FIRST_MAP_WITHIN_S = 0.2
 FINISH_WITHIN_S = 120.0
 MOST_FIRST_TRIES = 5
 LOST_SMALL_FRAMES = 3
-MOST_POSES = 100_000
-"""Of the trajectory, about an hour's; when there are more, every second of the older half is dropped."""
-MOST_TIMINGS = 20_000
-"""Of a stage, the latest."""
 JITTER_S = 0.1
 """By which pictures of a live camera may come early."""
 MOST_AHEAD_S, LONGEST_WAIT_S, LOOK_EVERY_S = 5.0, 30.0, 0.5
-
-
-@dataclass
-class _Counts:
-    frames: int = 0
-    tracked: int = 0
-    loops: int = 0
-    corrected: int = 0
-    merges: int = 0
-    relocalizations: int = 0
-    closures: list[Closure] = field(default_factory=list)
-    timings_ms: dict[str, deque[float]] = field(default_factory=dict)
-
-    def note(self, stage: str, took_ms: float) -> None:
-        self.timings_ms.setdefault(stage, deque(maxlen=MOST_TIMINGS)).append(took_ms)
-
-
-@dataclass(frozen=True)
-class _Tracked:
-    """A frame's pose against its keyframe, of `size` then (`Map.sizes`)."""
-
-    time_s: float
-    reference: int
-    cam_from_reference: np.ndarray
-    size: float
 
 
 class SlamSystem:
@@ -117,7 +88,7 @@ class SlamSystem:
         self._first: int | None = None
         """Of a map that has just begun, the keyframe to find the next picture by."""
         self._keyframe_frame = 0
-        self._kept: _Tracked | None = None
+        self._kept: Tracked | None = None
         """Where the last keyframe was taken."""
         self._last_located_s = self._lost_since_s = 0.0
         self._lost_frames = 0
@@ -126,10 +97,9 @@ class SlamSystem:
         self._caught_up = 0.0, -math.inf
         """When the mapper last had nothing to do: in the pictures' time, and by the clock."""
         self._reference = NONE
-        self._trajectory: list[_Tracked] = []
         self._unsettled = False
         """Whether the map has changed since it was adjusted as a whole."""
-        self._counts = _Counts()
+        self._history = History()
         self._end = weakref.finalize(self, self._link.close)
         self._taken_up = 0
         """Keyframes of an earlier run, which are the first ones."""
@@ -150,12 +120,12 @@ class SlamSystem:
         """The pose of this gray uint8 picture. Never raises for a bad picture: LOST, with the reason. `wait`: until the
         mapper has finished with the pictures before (lockstep), as if it needed no time. Raises StationError when the
         mapper's process has failed or ended, with what is known of it: the map would stand still."""
-        self._counts.frames += 1
+        self._history.frames += 1
         self.last_picture = None
         began = time.perf_counter()
         self._take(self._link.receive())
         self._let_mapper_keep_up(time_s, wait)
-        self._time("updates", began)
+        self._history.note_time("updates", began)
         wrong = self._wrong(image)
         if wrong:
             return self._lost(time_s, wrong)
@@ -163,10 +133,10 @@ class SlamSystem:
         features = self.features_of(image)
         picture = Picture(time_s, features, Grid.of(features.xy_px, self._camera.bounds_px))
         self.last_picture = picture
-        self._time("features", began)
+        self._history.note_time("features", began)
         began = time.perf_counter()
         found = self._locate(picture)
-        self._time("tracking", began)
+        self._history.note_time("tracking", began)
         return self._lost(time_s, found) if isinstance(found, str) else self._located(picture, found)
 
     def _let_mapper_keep_up(self, time_s: float, wait: bool) -> None:
@@ -233,7 +203,7 @@ class SlamSystem:
         try:
             return self._recognised(picture)
         finally:
-            self._time("relocalization", began)
+            self._history.note_time("relocalization", began)
 
     def _recognised(self, picture: Picture) -> Located | str:
         for keyframe in self._places.candidates(self._places.words(picture.features)):
@@ -241,7 +211,7 @@ class SlamSystem:
                 continue
             found = self._tracker.locate_by(picture, keyframe)
             if not isinstance(found, str):
-                self._counts.relocalizations += 1
+                self._history.relocalizations += 1
                 return found
         return "no place is recognised"
 
@@ -280,15 +250,12 @@ class SlamSystem:
         self._initializer.reset()
         self._reference = reference = found.reference
         from_reference = relative(found.cam_from_world, self._map.poses[reference])
-        where = _Tracked(picture.time_s, reference, from_reference, float(self._map.sizes[reference]))
+        where = Tracked(picture.time_s, reference, from_reference, float(self._map.sizes[reference]))
         if not doubt:
-            self._counts.tracked += 1
-            self._trajectory.append(where)
-            if len(self._trajectory) > MOST_POSES:
-                del self._trajectory[: MOST_POSES // 2 : 2]
+            self._history.note_pose(where)
         kept = wants_keyframe(
             self.settings.keyframes,
-            frames_since=self._counts.frames - self._keyframe_frame,
+            frames_since=self._history.frames - self._keyframe_frame,
             matches=found.matches,
             share=self._share_seen(picture, reference),
             waiting=self._link.waiting(),
@@ -314,11 +281,10 @@ class SlamSystem:
         if kept is None or world.component[world.living(kept.reference)] != self._component:
             return ELSEWHERE
         before = world.pose_by(kept.reference, kept.cam_from_reference, kept.size)
-        seen = transform(found.cam_from_world, world.xyz[found.point_of[found.point_of >= 0]])
-        return moved_since(before, found.cam_from_world, float(np.median(seen[:, 2])))
+        return moved_since(before, found.cam_from_world, median_depth(found.cam_from_world, world.xyz, found.point_of))
 
-    def _keep(self, picture: Picture, where: _Tracked) -> None:
-        self._keyframe_frame, self._kept = self._counts.frames, where
+    def _keep(self, picture: Picture, where: Tracked) -> None:
+        self._keyframe_frame, self._kept = self._history.frames, where
         self._send(picture.features, picture.point_of.copy(), where, *self._tracker.take_counts())
 
     def insert(self, time_s: float, features: Features, point_of: np.ndarray, cam_from_world: np.ndarray) -> int:
@@ -329,11 +295,11 @@ class SlamSystem:
         reference = self.reference
         from_reference = relative(cam_from_world, self._map.poses[reference])
         none = np.empty(0, np.int64)
-        where = _Tracked(time_s, reference, from_reference, float(self._map.sizes[reference]))
+        where = Tracked(time_s, reference, from_reference, float(self._map.sizes[reference]))
         return self._send(features, point_of, where, none, none, none)
 
     def _send(
-        self, features: Features, point_of: np.ndarray, where: _Tracked,
+        self, features: Features, point_of: np.ndarray, where: Tracked,
         counted: np.ndarray, expected: np.ndarray, found: np.ndarray,
     ) -> int:  # fmt: skip
         row, self._next_row = self._next_row, self._next_row + 1
@@ -366,24 +332,15 @@ class SlamSystem:
             self._unsettled = update.event not in ("settled", "left as it is", "taken up")
             if update.event in ("loop", "merge", "settled"):
                 self._tracker.stopped()
-                self._counts.corrected += update.event == "loop"
-                self._counts.merges += update.event == "merge"
-            self._counts.loops += update.event in ("loop", "confirmed")
-            if update.closure is not None:
-                self._counts.closures.append(update.closure)
+            self._history.note_update(update)
             if self._awaited is not None and update.event in ("new map", "forgotten map"):
                 if update.event == "new map":
                     self._component, self._first = self._awaited.component, self._awaited.rows[1]
                     self._tracker.forget()
-                    self._keyframe_frame, self._kept = self._counts.frames, None
+                    self._keyframe_frame, self._kept = self._history.frames, None
                 self._awaited = None
-            for stage, took_ms in update.timings_ms.items():
-                self._counts.note(f"mapper: {stage}", took_ms)
         if updates:
             self._places.tidy()
-
-    def _time(self, stage: str, began: float) -> None:
-        self._counts.note(stage, (time.perf_counter() - began) * 1e3)
 
     def features_of(self, image: np.ndarray) -> Features:
         """The features of a picture, as the map's lens has them; it is not tracked."""
@@ -427,13 +384,8 @@ class SlamSystem:
 
     def trajectory(self) -> list[tuple[float, np.ndarray]]:
         """(time_s, world_from_cam 4x4) of every tracked frame of the largest map, from its keyframe's final pose. Of a
-        run of hours the older poses are thinned out (`MOST_POSES`)."""
-        largest = self._largest()
-        return [
-            (one.time_s, inverse(self._map.pose_by(one.reference, one.cam_from_reference, one.size)))
-            for one in self._trajectory
-            if self._map.component[one.reference] == largest
-        ]
+        run of hours the older poses are thinned out (`history.MOST_POSES`)."""
+        return self._history.trajectory(self._map, self._largest())
 
     def keyframes(self) -> list[tuple[float, np.ndarray]]:
         """(time_s, world_from_cam 4x4) of the largest map's keyframes, but those of an earlier run: their time was
@@ -453,21 +405,7 @@ class SlamSystem:
 
     def statistics(self) -> SlamStatistics:
         """Counts so far."""
-        alive = self._map.keyframes_alive()
-        return SlamStatistics(
-            frames=self._counts.frames,
-            tracked=self._counts.tracked,
-            keyframes=len(alive),
-            points=len(self._map.points_alive()),
-            maps=len(np.unique(self._map.component[alive])),
-            loops=self._counts.loops,
-            loops_corrected=self._counts.corrected,
-            merges=self._counts.merges,
-            relocalizations=self._counts.relocalizations,
-            closures=tuple(self._counts.closures),
-            camera=Lens(*self._map.lens).of(self._camera),
-            timings_ms={stage: list(took_ms) for stage, took_ms in self._counts.timings_ms.items()},
-        )
+        return self._history.statistics(self._map, self._camera)
 
     def close(self) -> None:
         """End the mapper's process. May be called twice."""

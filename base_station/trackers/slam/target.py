@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from base_station.geometry import PinholeCamera
@@ -21,26 +20,20 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
-from base_station.trackers.slam.pose_optimization import optimize_pose
-from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import inverse, rotation_angle_rad, transform
 from base_station.trackers.slam.tracking import Picture
+from base_station.trackers.slam.twins import Pairs, TwinSettings, judge
 from base_station.types import Box, TrackerResult, TrackingState
 
-TWINS_APART_RAD, TWIN_LEAD = math.radians(3.0), 1.5
-"""Poses that differ by more are two; and by what factor the worse one's misfit must be larger."""
-SURE_POINTS, SURE_MISFIT = 45, 5.0
-"""So many points, whose mean square misfit (of both axes, in deviations) is no larger, make a pose sure."""
 LEAST_POINTS = 12
 """Of the map, that place a target in it."""
 NEAREST_DEPTH = 1e-3
-PNP_PX = 8.0
-"""Off by so much a point is still taken for the learned one: a tilted map is to be set right, not to be left."""
 
 
 @dataclass(frozen=True)
 class Placed:
     """The learned picture in the map: where it was taken, and which point each of its features shows, (n,). `sure`: it
-    cannot be its twin, see `_best_twin`."""
+    cannot be its twin, see `twins.py`."""
 
     cam_from_world: np.ndarray
     point_of: np.ndarray
@@ -66,71 +59,28 @@ class MapTarget:
 
 
 def place_in_map(
-    world: Map, learned: Features, in_box: np.ndarray, picture: Picture, camera: SlamCamera
+    world: Map, learned: Features, in_box: np.ndarray, picture: Picture, cam_from_world: np.ndarray, camera: SlamCamera,
+    without: int = NONE,
 ) -> Placed | None:  # fmt: skip
     """Where the learned picture was taken, by the map points that both it and a picture of now show.
 
     `in_box` (n,) bool: the learned features that belong to the target, of which enough must be among them.
+    `cam_from_world`: of the picture of now. `without`: the keyframe that the learned picture has become by now.
     """
-    seen, point_of = picture.features, picture.point_of
-    shown = np.flatnonzero(point_of >= 0)
-    if len(shown) < LEAST_POINTS:
-        return None
-    matches = match_everywhere(learned.descriptors, learned.angle_deg, seen.part(shown), most=64, ratio=0.85)
+    matches = match_everywhere(learned.descriptors, learned.angle_deg, picture.features, most=64, ratio=0.85)
     rows = np.flatnonzero(matches >= 0)
-    if len(rows) < LEAST_POINTS:
-        return None
-    points, uv = world.xyz[point_of[shown[matches[rows]]]], learned.xy_px[rows].astype(np.float64)
-    solved, rotation, translation, inliers = cv2.solvePnPRansac(
-        points, uv, camera.matrix, None, iterationsCount=200, reprojectionError=PNP_PX, flags=cv2.SOLVEPNP_AP3P
-    )
-    if not solved or inliers is None or len(inliers) < LEAST_POINTS:
-        return None
-    near = inliers[:, 0]
-    guess, sigma = pose_of(cv2.Rodrigues(rotation)[0], translation), world.scales[learned.octave[rows]]
-    pose, sure = _best_twin(guess, points[near], uv[near], sigma[near], camera)
-    if in_box[rows[near]].sum() < LEAST_POINTS:
+    pairs = Pairs(rows, matches[rows], picture.point_of[matches[rows]])
+    judged = judge(world, learned, in_box, picture, cam_from_world, pairs, camera, TwinSettings(), without)
+    if judged is None or in_box[rows[judged.fits]].sum() < LEAST_POINTS:
         return None
     point_of_learned = np.full(len(learned), NONE, np.int32)
-    point_of_learned[rows[near]] = point_of[shown[matches[rows[near]]]]
-    return Placed(pose, point_of_learned, sure)
-
-
-def _best_twin(
-    guess: np.ndarray, points: np.ndarray, uv_px: np.ndarray, sigma_px: np.ndarray, camera: SlamCamera
-) -> tuple[np.ndarray, bool]:
-    """A plane looks much the same from two sides (Collins and Bartoli, "Infinitesimal plane-based pose estimation",
-    2014): both poses are refined, the one that fits best is given, and whether the other fits clearly worse."""
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-    flat = points - ((points - middle) @ normal)[:, None] * normal
-    found, rotations, translations, _ = cv2.solvePnPGeneric(flat, uv_px, camera.matrix, None, flags=cv2.SOLVEPNP_IPPE)
-    guesses = [guess]
-    if found:
-        both = zip(rotations, translations, strict=True)
-        guesses += [pose_of(cv2.Rodrigues(rotation)[0], translation) for rotation, translation in both]
-    poses = [optimize_pose(one, points, uv_px, sigma_px, camera.intrinsics).cam_from_world for one in guesses]
-    misfits = [_misfit(pose, points, uv_px, sigma_px, camera) for pose in poses]
-    best = int(np.argmin(misfits))
-    others = [misfit for pose, misfit in zip(poses, misfits, strict=True) if differ(pose, poses[best])]
-    fits = len(points) >= SURE_POINTS and misfits[best] <= SURE_MISFIT
-    return poses[best], fits and min(others, default=math.inf) > TWIN_LEAD * misfits[best]
+    point_of_learned[rows[judged.fits]] = pairs.points[judged.fits]
+    return Placed(judged.cam_from_world, point_of_learned, judged.sure)
 
 
 def differ(one: np.ndarray, two: np.ndarray) -> bool:
     """Whether two poses are turned too differently to be the same one."""
-    return rotation_angle_rad(one[:3, :3] @ two[:3, :3].T) > TWINS_APART_RAD
-
-
-def _misfit(
-    pose: np.ndarray, points: np.ndarray, uv_px: np.ndarray, sigma_px: np.ndarray, camera: SlamCamera
-) -> float:  # fmt: skip
-    in_cam = transform(pose, points)
-    if not (in_cam[:, 2] > 0).all():
-        return math.inf
-    expected_px = in_cam[:, :2] / in_cam[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:]
-    off = np.linalg.norm(expected_px - uv_px, axis=1) / sigma_px
-    return float(np.mean(np.minimum(off, PNP_PX) ** 2))
+    return rotation_angle_rad(one[:3, :3] @ two[:3, :3].T) > TwinSettings.apart_rad
 
 
 def target_of(

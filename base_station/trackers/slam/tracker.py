@@ -23,24 +23,21 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.compass import ZCompass
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.lens import Lens, through
-from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.map_file import leave_map, take_up_map
 from base_station.trackers.slam.matching import match_everywhere
+from base_station.trackers.slam.placement import Placement
 from base_station.trackers.slam.rehearsal import rehearse_tracking
 from base_station.trackers.slam.saved_map import SavedMap
 from base_station.trackers.slam.se3 import camera_centers, inverse
 from base_station.trackers.slam.sighting import sight
 from base_station.trackers.slam.system import SlamSettings, SlamSystem
-from base_station.trackers.slam.target import MapTarget, Placed, differ, heading_of, place_in_map, result_of, target_of
+from base_station.trackers.slam.target import heading_of, result_of
 from base_station.types import Box, Frame, TrackerResult, TrackingState
 
 log = logging.getLogger(__name__)
 
 SURE_MATCHES = 150
 """Map points seen, from which on a pose could not be surer."""
-MOST_CHECKS = 40
-PLACE_EVERY = 5
-"""Frames between two attempts to place the target in the map."""
 NEARLY_AHEAD_RAD = math.radians(4.0)
 """A learned view that lies so near to the optical axis sets the compass."""
 
@@ -83,18 +80,13 @@ class SlamTracker(PatchTracker):
         self._camera: SlamCamera | None = None
         self._extract: Callable[[np.ndarray], Features]
         self._shown_at: Callable[[np.ndarray], np.ndarray]
-        self._features: Features | None = None
+        self._learning: tuple[float, SlamCamera]
+        """When, and with which camera, the picture was taken that is being learned."""
+        self._placement: Placement | None = None
         self._lens = Lens()
-        """That they are free of, see `Map.lens`."""
-        self._in_box: np.ndarray = np.empty(0, np.bool_)
-        self._learned_center = (0.0, 0.0)
-        self._target: MapTarget | None = None
-        self._learned_row, self._learned_s = NONE, 0.0
-        """The keyframe that the learned picture has become, and when it was taken."""
-        self._checks = 0
+        """That the learned corners are free of, see `Map.lens`."""
         self._compass = ZCompass()
         self._pose: np.ndarray | None = None
-        self._frames = 0
 
     def _read_map(self) -> SavedMap | None:
         if self._map_file is None:
@@ -125,6 +117,7 @@ class SlamTracker(PatchTracker):
                 saved=mapped or self._saved,
             )  # fmt: skip
         self._extract, self._shown_at = slam.features_of, camera.distort
+        self._learning = frame.time_s, camera
         try:
             super().learn(frame, target)
         except ValueError:
@@ -134,8 +127,7 @@ class SlamTracker(PatchTracker):
         if slam is not self._slam:
             self._end_mapper()
             self._slam, self._camera = slam, camera
-        self._target, self._frames, self._lens = None, 0, Lens(*slam.map.lens)
-        self._learned_row, self._learned_s, self._checks = NONE, frame.time_s, 0
+        self._lens = Lens(*slam.map.lens)
         self._compass.start(frame, 0.0)
 
     def _prepare(self, image: np.ndarray, patch: np.ndarray, learned: Learned) -> None:
@@ -144,41 +136,42 @@ class SlamTracker(PatchTracker):
         in_box = np.all(np.abs(self._shown_at(features.xy_px) - learned.center_px) <= half_px, axis=1)
         if int(in_box.sum()) < LEAST_INLIERS:
             raise ValueError(f"featureless: fewer than {LEAST_INLIERS} ORB corners")
-        self._features, self._in_box, self._learned_center = features, in_box, learned.center_px
+        self._placement = Placement(features, in_box, learned.center_px, *self._learning)
 
     def update(self, frame: Frame) -> TrackerResult:
         """See `base.Tracker.update`."""
-        slam, learned = self._slam, self._learned
-        if slam is None or learned is None:
+        slam, learned, placement = self._slam, self._learned, self._placement
+        if slam is None or learned is None or placement is None:
             return TrackerResult(state=TrackingState.INITIALIZING, reason="nothing learned yet")
         seen = slam.track(frame.image, frame.time_s, wait=frame.stepped)
         pose = self._pose = seen.cam_from_world
-        self._frames += 1
-        self._look_through(Lens(*slam.map.lens))
+        self._look_through(Lens(*slam.map.lens), placement)
         self._kept = False
-        if pose is not None:
-            self._leave_other_map(slam)
-            self._place(slam)
-        if pose is None or self._target is None:
-            result = super().update(frame)
+        placement.update(slam, pose)
+        if pose is None or placement.target is None:
+            result = self._look_at(frame, pose)
             ahead = learned.is_place and result.bearing_rad is not None and abs(result.bearing_rad) < NEARLY_AHEAD_RAD
             return self._with_compass(frame, result, result.bearing_rad if ahead else None)
-        if self._learned_row == NONE and not learned.is_place:
-            result = super().update(frame)
+        if not (placement.is_keyframe or learned.is_place):
+            result = self._look_at(frame, pose)
             if result.state is TrackingState.TRACKING:  # what is seen is surer than where it may be in the map
                 return self._with_compass(frame, result, None)
         confidence = min(1.0, math.sqrt(seen.matches / SURE_MATCHES))
-        result = result_of(self._target, slam.map, pose, learned, frame.camera, confidence)
-        if self._learned_row == NONE:  # its twin would be seen from the other side; which it is, moving will tell
+        result = result_of(placement.target, slam.map, pose, learned, frame.camera, confidence)
+        if not placement.is_keyframe:  # its twin would be seen from the other side; which it is, moving will tell
             return replace(result, view_angle_rad=None, compass_rad=self._compass.update(frame))
-        return self._with_compass(frame, result, heading_of(self._target, slam.map, pose))
+        return self._with_compass(frame, result, heading_of(placement.target, slam.map, pose))
 
-    def _look_through(self, lens: Lens) -> None:
+    def _look_at(self, frame: Frame, pose: np.ndarray | None) -> TrackerResult:
+        """The target as the picture itself shows it, and the pose that the map knows."""
+        result = super().update(frame)
+        return replace(result, cam_from_world=pose) if result.state is TrackingState.TRACKING else result
+
+    def _look_through(self, lens: Lens, placement: Placement) -> None:
         """The learned picture as the map now knows the lens: it was found by adjusting the whole."""
-        if lens != self._lens and self._features is not None and self._camera is not None:
-            self._features = through(self._features, self._lens, lens, self._camera)
-            self._lens, self._target = lens, None  # the target's middle was the old lens's
-            self._frames = 1
+        if lens != self._lens and self._camera is not None:
+            placement.look_through(through(placement.features, self._lens, lens, self._camera))
+            self._lens = lens
 
     def _with_compass(self, frame: Frame, result: TrackerResult, heading_rad: float | None) -> TrackerResult:
         """The result with the heading: as the map or the learned view has it, which then sets the compass; else as the
@@ -195,63 +188,14 @@ class SlamTracker(PatchTracker):
             return _turned_by(result, kept_rad, frame) if self._learned and self._learned.is_place else result
         return replace(result, compass_rad=kept_rad, reason=f"{result.reason}; the compass keeps the heading")
 
-    def _place(self, slam: SlamSystem) -> None:
-        """Give the target its place in the map, where the map shows enough of it; and anew when the map has changed."""
-        picture = slam.last_picture
-        if self._features is None or self._camera is None or picture is None or self._frames % PLACE_EVERY != 1:
-            return
-        world, row = slam.map, self._learned_row
-        if row != NONE and self._is_keyframe(world, slam.component):
-            seen = world.current(world.point_of[row, : len(self._features)])
-            target = self._target_at(world, row, Placed(world.poses[row], seen))
-            self._target = target or self._target
-            self._check(slam, row)
-            return
-        if self._learned_row != NONE:
-            return
-        placed = place_in_map(world, self._features, self._in_box, picture, self._camera)
-        if placed is None:
-            return
-        self._target = self._target_at(world, slam.reference, placed) or self._target
-        if self._target is not None and placed.sure:
-            self._learned_row = slam.insert(self._learned_s, self._features, placed.point_of, placed.cam_from_world)
-
-    def _leave_other_map(self, slam: SlamSystem) -> None:
-        """A pose in one map says nothing of a target in another: the target must be placed anew."""
-        if self._target is None:
-            return
-        keyframe = slam.map.living(self._target.keyframe)
-        if not slam.map.alive[keyframe] or slam.map.component[keyframe] != slam.component:
-            self._target, self._learned_row = None, NONE
-
-    def _check(self, slam: SlamSystem, row: int) -> None:
-        """A map that grows may come to know better where the learned picture was taken than its keyframe does."""
-        picture = slam.last_picture
-        if self._checks >= MOST_CHECKS or picture is None or self._features is None or self._camera is None:
-            return
-        self._checks += 1
-        placed = place_in_map(slam.map, self._features, self._in_box, picture, self._camera)
-        if placed is None or not placed.sure or not differ(placed.cam_from_world, slam.map.poses[row]):
-            return
-        self._target = self._target_at(slam.map, slam.reference, placed) or self._target
-        self._learned_row = slam.insert(self._learned_s, self._features, placed.point_of, placed.cam_from_world)
-
-    def _is_keyframe(self, world: Map, component: int) -> bool:
-        row = self._learned_row
-        return row < world.keyframe_count and bool(world.alive[row]) and int(world.component[row]) == component
-
-    def _target_at(self, world: Map, keyframe: int, placed: Placed) -> MapTarget | None:
-        assert self._features is not None and self._camera is not None
-        return target_of(
-            world, keyframe, placed, self._features, self._in_box, self._learned_center, self._camera
-        )  # fmt: skip
-
     def _look(self, image: np.ndarray, learned: Learned) -> Found | Missed:
         """In the picture itself, while the map cannot say."""
         picture = None if self._slam is None else self._slam.last_picture
-        if self._features is None or self._camera is None or picture is None or len(picture.features) < LEAST_INLIERS:
+        if self._placement is None or self._camera is None or picture is None:
+            return Missed("there is no picture yet")
+        if len(picture.features) < LEAST_INLIERS:
             return Missed("the target is hidden or gone (no corners in the picture)")
-        mine = self._features.part(np.flatnonzero(self._in_box))
+        mine = self._placement.of_target
         matches = match_everywhere(mine.descriptors, mine.angle_deg, picture.features, most=64, ratio=0.8)
         rows = np.flatnonzero(matches >= 0)
         middle_px = self._camera.undistort(np.array([learned.center_px]))[0]

@@ -22,7 +22,7 @@ from base_station.trackers.slam.local_map import LocalMap, local_map
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, Grid, match_everywhere, match_projections
 from base_station.trackers.slam.pose_optimization import PoseFit, optimize_pose
-from base_station.trackers.slam.se3 import camera_centers, pose_of, relative, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import apart, camera_centers, median_depth, pose_of, relative, transform
 from base_station.trackers.slam.turning import turn_between
 from base_station.trackers.slam.visibility import Expected, expect
 
@@ -150,7 +150,7 @@ class FrameTracker:
         last, before = self._last, self.last_pose
         if found.matches >= self.settings.least_in_quick_turn or last is None or before is None:
             return ""
-        turned_rad = rotation_angle_rad(found.cam_from_world[:3, :3] @ before[:3, :3].T)
+        _, turned_rad = apart(found.cam_from_world, before)
         if turned_rad <= self.settings.quick_rad_s * (picture.time_s - last.picture.time_s):
             return ""
         return f"only {found.matches} points of the map are seen in a quick turn: followed, but not surely"
@@ -352,10 +352,8 @@ class FrameTracker:
     def _plausible(self, picture: Picture, found: Located, guess: np.ndarray) -> bool:
         """A pose far from the expected one is believed only if one from nowhere would be."""
         settings = self.settings
-        seen = found.point_of[found.point_of >= 0]
-        depth = float(np.median(transform(found.cam_from_world, self._map.xyz[seen])[:, 2]))
-        step = float(np.linalg.norm(camera_centers(found.cam_from_world) - camera_centers(guess)))
-        turn = rotation_angle_rad(found.cam_from_world[:3, :3] @ guess[:3, :3].T)
+        depth = median_depth(found.cam_from_world, self._map.xyz, found.point_of)
+        step, turn = apart(found.cam_from_world, guess)
         if step <= settings.farthest_jump * depth and turn <= settings.widest_jump_rad:
             return True
         return found.matches >= settings.least_inliers_found_again and self._is_certain(picture, found)

@@ -46,6 +46,21 @@ def test_a_mapper_that_dies_with_nothing_to_do_is_noticed_at_the_next_look():
         link.close()
 
 
+def test_what_ends_the_tracker_leaves_the_mapper_to_it():
+    """Ctrl-C, `systemctl stop` and a closed terminal signal all of a command's processes; the map is still wanted."""
+    link = MapperProcess(CAMERA, SlamSettings())
+    mapper = multiprocessing.active_children()[-1]
+    try:
+        assert link.receive() == []
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(mapper.pid, number)
+        link.send(Settle(-1))
+        assert [update.event for update in link.receive(30.0)] == ["left as it is"]
+    finally:
+        link.close()
+    assert not mapper.is_alive()
+
+
 def test_sigterm_is_left_to_who_had_it_when_pycolmap_comes():
     program = (
         "import signal, os, sys, threading\n"

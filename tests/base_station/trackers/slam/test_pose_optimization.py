@@ -5,8 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from base_station.trackers.slam.pose_optimization import optimize_pose, optimize_pose_reference
-from base_station.trackers.slam.se3 import compose, exponential, inverse, relative, rotation_angle_rad
+from base_station.trackers.slam.pose_optimization import (  # private: one is what the other gives back
+    _cost,
+    _linearize,
+    optimize_pose,
+    optimize_pose_reference,
+)
+from base_station.trackers.slam.se3 import (
+    apart,
+    camera_centers,
+    compose,
+    exponential,
+    inverse,
+    median_depth,
+    relative,
+    rotation_angle_rad,
+    transform,
+)
 from tests.base_station.trackers.slam.scene import INTRINSICS, box_of_points, motion, project
 
 RNG = np.random.default_rng(5)
@@ -84,3 +99,26 @@ def test_relative_is_numpys_product_with_a_true_rotation():
     u, _, vt = np.linalg.svd(bent[:3, :3])
     assert np.allclose(found[:3, :3], u @ vt, atol=1e-9)
     assert np.array_equal(found[:, 3], one[:, 3])
+
+
+def test_how_far_two_cameras_are_apart_is_plain_numpys():
+    one, two = motion(RNG, 1.0, 1.0), motion(RNG, 2.0, 0.5)
+    step, turn_rad = apart(one, two)
+    assert step == pytest.approx(np.linalg.norm(camera_centers(one) - camera_centers(two)))
+    assert turn_rad == pytest.approx(rotation_angle_rad(one[:3, :3] @ two[:3, :3].T))
+    assert apart(one, one) == pytest.approx((0.0, 0.0), abs=1e-7)
+
+
+def test_the_median_depth_is_plain_numpys():
+    rows = np.array([3, -1, 17, 40, -1, 5], np.int32)
+    assert median_depth(TRUTH, POINTS, rows) == pytest.approx(
+        np.median(transform(TRUTH, POINTS[rows[rows >= 0]])[:, 2])
+    )
+    assert np.isnan(median_depth(TRUTH, POINTS, rows[1:2]))
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_a_step_is_judged_by_the_cost_that_it_is_planned_by(robust):
+    pose, used = motion(RNG, 0.5, 0.4), RNG.random(len(POINTS)) < 0.8
+    arguments = pose, POINTS, SEEN, RNG.uniform(0.3, 1.0, len(POINTS)), used, INTRINSICS, robust
+    assert _cost(*arguments) == _linearize(*arguments, np.zeros((6, 6)), np.zeros(6)) > 0

@@ -86,18 +86,30 @@ def test_the_learned_picture_follows_the_lens_that_the_whole_map_finds(seen):
     tracker, _ = seen
     slam = tracker.slam
     slam.finish()  # no older word of the lens is on its way
-    tracker.update(frame(path(49), 59))
-    learned = tracker._features
+    for number in (58, 59):  # the first may become a keyframe, which brings one more
+        tracker.update(frame(path(49), number))
+    learned = tracker._placement.features
     before, found = Lens(*slam.map.lens), Lens(1.02, 0.01)
     for world in (slam.map, slam._link.mapper.map):
         look_through(world, found, slam._camera)
     tracker.update(frame(path(49), 60))
-    assert np.allclose(tracker._features.xy_px, through(learned, before, found, slam._camera).xy_px)
-    assert np.abs(tracker._features.xy_px - learned.xy_px).max() > 0.5
+    assert np.allclose(tracker._placement.features.xy_px, through(learned, before, found, slam._camera).xy_px)
+    assert np.abs(tracker._placement.features.xy_px - learned.xy_px).max() > 0.5
     for world in (slam.map, slam._link.mapper.map):
         look_through(world, before, slam._camera)
     tracker.update(frame(path(49), 61))
-    assert np.abs(tracker._features.xy_px - learned.xy_px).max() < 0.01
+    assert np.abs(tracker._placement.features.xy_px - learned.xy_px).max() < 0.01
+
+
+def test_a_map_that_has_never_seen_the_target_leaves_it_lost():
+    tracker = SlamTracker(settings=SlamSettings(features=FeatureSettings(count=600)), single_process=True)
+    tracker.learn(frame(START, 1), TARGET)
+    elsewhere = [standing(0.6 - 0.03 * k, 0.5, -2.4, 0.1 * np.sin(k / 5)) for k in range(30)]
+    results = [tracker.update(frame(pose, k + 2)) for k, pose in enumerate(elsewhere)]
+    assert tracker.slam is not None and tracker.slam.statistics().tracked > 5
+    assert {result.state for result in results} == {TrackingState.LOST}
+    assert all(result.reason for result in results)
+    tracker.close()
 
 
 def test_a_calibrated_lens_is_taken_into_account():
