@@ -203,12 +203,12 @@ def test_help(programs: Programs) -> None:
     assert "--rhythm" in agent.stdout and "--scenario" in agent.stdout
 
 
-@pytest.mark.parametrize("command", ["base_station run --help", "base_station trackers", "robot_agent --help"])
-def test_a_reader_that_has_enough_is_no_mistake(command: str) -> None:
+def test_a_reader_that_has_enough_is_no_mistake() -> None:
     """As `... --help | head` does, once it has its lines."""
     reading, writing = os.pipe()
     os.close(reading)
-    done = subprocess.run((sys.executable, "-m", *command.split()), stdout=writing, stderr=subprocess.PIPE, check=False)
+    command = (sys.executable, "-m", "base_station", "run", "--help")
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")
 
