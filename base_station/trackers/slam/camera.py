@@ -111,6 +111,19 @@ class SlamCamera:
     def distorts(self) -> bool:
         return any(self.distortion)
 
+    def rays(self, undistorted_px: np.ndarray) -> np.ndarray:
+        """What lies a unit before the camera (n, 3) where a picture without distortion has these places (n, 2)."""
+        return np.column_stack(
+            [(undistorted_px - self.intrinsics[2:]) / self.intrinsics[:2], np.ones(len(undistorted_px))]
+        )
+
+    def project(self, in_cam: np.ndarray) -> np.ndarray:
+        """Where a picture without distortion shows points (n, 3) of the camera's coordinates, (n, 2); NaN behind it."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen_px = in_cam[:, :2] / in_cam[:, 2:] * self.intrinsics[:2] + self.intrinsics[2:]
+        seen_px[in_cam[:, 2] <= 0] = np.nan
+        return np.asarray(seen_px)
+
     def undistort(self, points_px: np.ndarray) -> np.ndarray:
         """Where points (n, 2) of the picture would lie without distortion, float32 px."""
         points_px = np.ascontiguousarray(points_px, np.float32)

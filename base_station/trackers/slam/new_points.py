@@ -94,7 +94,7 @@ def _between(
 def expected_parallaxes(uv_px: np.ndarray, baseline: np.ndarray, depth: float, camera: SlamCamera) -> np.ndarray:
     """The angle (n,) between the two views of points of this depth, seen at (n, 2); `baseline` (3,): the other camera,
     in this one's coordinates."""
-    rays = np.column_stack([(uv_px - camera.intrinsics[2:]) / camera.intrinsics[:2], np.ones(len(uv_px))])
+    rays = camera.rays(uv_px)
     lengths = np.linalg.norm(rays, axis=1)
     aside = np.linalg.norm(np.cross(rays, baseline), axis=1) / lengths
     return np.asarray(np.arctan(aside / (depth * lengths)))

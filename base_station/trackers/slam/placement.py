@@ -14,13 +14,17 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.map import NONE
 from base_station.trackers.slam.system import SlamSystem
-from base_station.trackers.slam.target import MapTarget, Placed, differ, place_in_map, target_of
+from base_station.trackers.slam.target import MapTarget, Placed, place_in_map, target_of
+from base_station.trackers.slam.twins import TwinSettings, differ
 
 EVERY = 5
 """Frames between two attempts."""
 CHECK_EVERY, MOST_CHECKS = 15, 20
 """Frames between two looks, and how many there are, whether the map knows better than the keyframe by now: each takes
 as long as a picture."""
+
+
+TWINS = TwinSettings()
 
 
 class Placement:
@@ -82,7 +86,7 @@ class Placement:
             return
         keyframe = slam.map.living(self.target.keyframe)
         if not slam.map.alive[keyframe] or slam.map.component[keyframe] != slam.component:
-            self.target, self._row = None, NONE
+            self.target, self._row, self._last = None, NONE, None
 
     def _has_arrived(self, slam: SlamSystem) -> bool:
         """As a keyframe, in the tracker's copy of the map."""
@@ -94,7 +98,7 @@ class Placement:
             return
         self._checks += 1
         placed = self._place(slam, cam_from_world)
-        if placed is not None and placed.sure and differ(placed.cam_from_world, slam.map.poses[self._row]):
+        if placed is not None and placed.sure and differ(placed.cam_from_world, slam.map.poses[self._row], TWINS):
             self._take(slam, placed)
 
     def _place(self, slam: SlamSystem, cam_from_world: np.ndarray) -> Placed | None:
@@ -104,13 +108,14 @@ class Placement:
         if picture is None:
             return None
         placed = place_in_map(
-            slam.map, self._features, self._in_box, picture, cam_from_world, self._camera, without=self._row
+            slam.map, self._features, self._in_box, picture, cam_from_world, self._camera, TWINS, without=self._row
         )
         self._last = placed
         if placed is None:
             return None
-        again = before is not None and before.sure and not differ(before.cam_from_world, placed.cam_from_world)
-        return replace(placed, sure=placed.sure and again)
+        if before is None or not before.sure or differ(before.cam_from_world, placed.cam_from_world, TWINS):
+            return replace(placed, sure=False)
+        return placed
 
     def _take(self, slam: SlamSystem, placed: Placed | None) -> None:
         if placed is None:

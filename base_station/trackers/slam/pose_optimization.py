@@ -75,25 +75,30 @@ def chi2_of(pose, point, u, v, weight, intrinsics):
     return weight * (du * du + dv * dv)
 
 
+@njit(inline="always")
+def _off(pose, point, uv, intrinsics):
+    """One over the depth, 0 behind the camera; where the point lies at depth 1; and how far off in px it is seen."""
+    a, b, c = point[0], point[1], point[2]
+    z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+    if z <= LEAST_DEPTH:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    over = 1.0 / z
+    x = (pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]) * over
+    y = (pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]) * over
+    return over, x, y, uv[0] - intrinsics[0] * x - intrinsics[2], uv[1] - intrinsics[1] * y - intrinsics[3]
+
+
 @njit(cache=True, nogil=True)
 def _cost(pose, points, uv, weights, used, intrinsics, robust):
     """What `_linearize` gives back, a step that is tried needs no more."""
-    r00, r01, r02, t0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
-    r10, r11, r12, t1 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
-    r20, r21, r22, t2 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     cost = 0.0
     for i in range(len(points)):
         if not used[i]:
             continue
-        a, b, c = points[i, 0], points[i, 1], points[i, 2]
-        z = r20 * a + r21 * b + r22 * c + t2
-        if z <= LEAST_DEPTH:
+        over, _, _, du, dv = _off(pose, points[i], uv[i], intrinsics)
+        if over == 0.0:
             cost += 2.0 * CHI2_TWO
             continue
-        over = 1.0 / z
-        x, y = (r00 * a + r01 * b + r02 * c + t0) * over, (r10 * a + r11 * b + r12 * c + t1) * over
-        du, dv = uv[i, 0] - fx * x - cx, uv[i, 1] - fy * y - cy
         chi2 = weights[i] * (du * du + dv * dv)
         cost += chi2 * 2.0 * np.sqrt(CHI2_TWO / chi2) - CHI2_TWO if robust and chi2 > CHI2_TWO else chi2
     return cost
@@ -105,24 +110,17 @@ def _linearize(pose, points, uv, weights, used, intrinsics, robust, information,
 
     One observation's Jacobian has two zeros, and what is left is written out: this is where a pose takes its time.
     """
-    r00, r01, r02, t0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
-    r10, r11, r12, t1 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
-    r20, r21, r22, t2 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    fx, fy = intrinsics[0], intrinsics[1]
     cost, g0, g1, g2, g3, g4, g5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     h00, h02, h03, h04, h05, h11, h12, h13, h14, h15 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     h22, h23, h24, h25, h33, h34, h35, h44, h45, h55 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(points)):
         if not used[i]:
             continue
-        a, b, c = points[i, 0], points[i, 1], points[i, 2]
-        z = r20 * a + r21 * b + r22 * c + t2
-        if z <= LEAST_DEPTH:
+        over, x, y, du, dv = _off(pose, points[i], uv[i], intrinsics)
+        if over == 0.0:
             cost += 2.0 * CHI2_TWO
             continue
-        over = 1.0 / z
-        x, y = (r00 * a + r01 * b + r02 * c + t0) * over, (r10 * a + r11 * b + r12 * c + t1) * over
-        du, dv = uv[i, 0] - fx * x - cx, uv[i, 1] - fy * y - cy
         weight = weights[i]
         chi2 = weight * (du * du + dv * dv)
         if robust and chi2 > CHI2_TWO:

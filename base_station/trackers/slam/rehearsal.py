@@ -99,6 +99,5 @@ def _scene() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _view(camera: SlamCamera, pose: np.ndarray, points: np.ndarray, looks: np.ndarray) -> Features:
-    seen = transform(pose, points)
-    uv = seen[:, :2] / seen[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:]
+    uv = camera.project(transform(pose, points))
     return Features(uv.astype(np.float32), np.zeros(POINTS, np.uint8), np.zeros(POINTS, np.float32), looks)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
@@ -22,7 +21,8 @@ from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
 from base_station.trackers.slam.pose_optimization import optimize_pose
-from base_station.trackers.slam.se3 import camera_centers, pose_of, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import camera_centers, rotation_angle_rad, transform
+from base_station.trackers.slam.three_points import pose_from_three
 from base_station.trackers.slam.types import Closure
 
 
@@ -93,14 +93,10 @@ def confirm(
     if len(index) < settings.least_pairs:
         return None
     xyz, rows = world.xyz[points[shown[index]]], matches[index]
-    solved, rotation, translation, _ = cv2.solvePnPRansac(
-        xyz, mine.xy_px[rows].astype(np.float64), camera.matrix, None, iterationsCount=200,
-        reprojectionError=settings.pnp_error_px, confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
-    )  # fmt: skip
-    if not solved:
+    found = pose_from_three(xyz, mine.xy_px[rows], camera, error_px=settings.pnp_error_px, tries=200, confidence=0.999)
+    if found is None:
         return None
-    guess = pose_of(cv2.Rodrigues(rotation)[0], translation)
-    pose = _sure_pose(world, guess, xyz, mine, rows, settings.least_pairs, camera, settings)
+    pose = _sure_pose(world, found[0], xyz, mine, rows, settings.least_pairs, camera, settings)
     seen = world.point_of[keyframe, : len(mine)]
     others = np.flatnonzero((seen >= 0) & ~np.isin(seen, points) & ~np.isin(np.arange(len(mine)), rows))
     mapped = _sure_pose(

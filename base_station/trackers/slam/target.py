@@ -20,7 +20,7 @@ from base_station.trackers.slam.camera import SlamCamera
 from base_station.trackers.slam.features import Features
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import match_everywhere
-from base_station.trackers.slam.se3 import inverse, rotation_angle_rad, transform
+from base_station.trackers.slam.se3 import inverse, transform
 from base_station.trackers.slam.tracking import Picture
 from base_station.trackers.slam.twins import Pairs, TwinSettings, judge
 from base_station.types import Box, TrackerResult, TrackingState
@@ -60,7 +60,7 @@ class MapTarget:
 
 def place_in_map(
     world: Map, learned: Features, in_box: np.ndarray, picture: Picture, cam_from_world: np.ndarray, camera: SlamCamera,
-    without: int = NONE,
+    settings: TwinSettings, without: int = NONE,
 ) -> Placed | None:  # fmt: skip
     """Where the learned picture was taken, by the map points that both it and a picture of now show.
 
@@ -70,17 +70,12 @@ def place_in_map(
     matches = match_everywhere(learned.descriptors, learned.angle_deg, picture.features, most=64, ratio=0.85)
     rows = np.flatnonzero(matches >= 0)
     pairs = Pairs(rows, matches[rows], picture.point_of[matches[rows]])
-    judged = judge(world, learned, in_box, picture, cam_from_world, pairs, camera, TwinSettings(), without)
+    judged = judge(world, learned, in_box, picture, cam_from_world, pairs, camera, settings, without)
     if judged is None or in_box[rows[judged.fits]].sum() < LEAST_POINTS:
         return None
     point_of_learned = np.full(len(learned), NONE, np.int32)
     point_of_learned[rows[judged.fits]] = pairs.points[judged.fits]
     return Placed(judged.cam_from_world, point_of_learned, judged.sure)
-
-
-def differ(one: np.ndarray, two: np.ndarray) -> bool:
-    """Whether two poses are turned too differently to be the same one."""
-    return rotation_angle_rad(one[:3, :3] @ two[:3, :3].T) > TwinSettings.apart_rad
 
 
 def target_of(

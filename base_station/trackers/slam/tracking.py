@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from base_station.trackers.slam.camera import SlamCamera
@@ -23,6 +22,7 @@ from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.matching import NEAR, Grid, match_everywhere, match_projections
 from base_station.trackers.slam.pose_optimization import PoseFit, optimize_pose
 from base_station.trackers.slam.se3 import apart, camera_centers, median_depth, pose_of, relative, transform
+from base_station.trackers.slam.three_points import pose_from_three
 from base_station.trackers.slam.turning import turn_between
 from base_station.trackers.slam.visibility import Expected, expect
 
@@ -225,10 +225,7 @@ class FrameTracker:
     ) -> PoseFit | None:
         world = self._map
         rows = np.flatnonzero(points >= 0)
-        in_cam = transform(guess, world.xyz[points[rows]])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            uv = in_cam[:, :2] / in_cam[:, 2:] * self._camera.intrinsics[:2] + self._camera.intrinsics[2:]
-        uv[in_cam[:, 2] <= 0] = np.nan
+        uv = self._camera.project(transform(guess, world.xyz[points[rows]]))
         octave = last.features.octave[rows].astype(np.int64)
         for widening in (1.0, 2.5):
             matches = match_projections(
@@ -289,15 +286,13 @@ class FrameTracker:
         index = np.flatnonzero(matches >= 0)
         if len(index) < self.settings.least_first_inliers:
             return None
-        solved, rotation, translation, inliers = cv2.solvePnPRansac(
-            self._map.xyz[points[index]], picture.features.xy_px[matches[index]].astype(np.float64),
-            self._camera.matrix, None, iterationsCount=150, reprojectionError=self.settings.pnp_error_px,
-            confidence=0.995, flags=cv2.SOLVEPNP_AP3P,
+        found = pose_from_three(
+            self._map.xyz[points[index]], picture.features.xy_px[matches[index]], self._camera,
+            error_px=self.settings.pnp_error_px, tries=150, confidence=0.995,
         )  # fmt: skip
-        if not solved or inliers is None or len(inliers) < self.settings.least_first_inliers:
+        if found is None or len(found[1]) < self.settings.least_first_inliers:
             return None
-        pose = pose_of(cv2.Rodrigues(rotation)[0], translation)
-        return pose if np.isfinite(pose).all() else None
+        return found[0]
 
     def _first(self, picture: Picture, matches: np.ndarray, points: np.ndarray, guess: np.ndarray) -> PoseFit | None:
         index = np.flatnonzero(matches >= 0)

@@ -27,7 +27,7 @@ def turn_between(
     rays = _rays(one.xy_px, camera)
     octave = one.octave.astype(np.int64)
     matches = match_projections(
-        _projected(rays @ expected.T, camera), np.full(len(rays), RADIUS_PX),
+        camera.project(rays @ expected.T), np.full(len(rays), RADIUS_PX),
         np.stack([octave - 1, octave + 1], axis=1), one.descriptors, two, grid, most=NEAR, ratio=0.9,
     )  # fmt: skip
     rows = np.flatnonzero(agreeing_in_turn(matches, one.angle_deg, two.angle_deg) >= 0)
@@ -50,12 +50,5 @@ def fit_turn(one: np.ndarray, two: np.ndarray, focal_px: float) -> tuple[np.ndar
 
 
 def _rays(xy_px: np.ndarray, camera: SlamCamera) -> np.ndarray:
-    rays = np.column_stack([(xy_px - camera.intrinsics[2:]) / camera.intrinsics[:2], np.ones(len(xy_px))])
+    rays = camera.rays(xy_px)
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
-
-
-def _projected(rays: np.ndarray, camera: SlamCamera) -> np.ndarray:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        uv = rays[:, :2] / rays[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:]
-    uv[rays[:, 2] <= 0] = np.nan
-    return np.asarray(uv)

@@ -24,6 +24,7 @@ from base_station.trackers.slam.local_bundle import part_of
 from base_station.trackers.slam.map import NONE, Map
 from base_station.trackers.slam.pose_optimization import CHI2_TWO, optimize_pose
 from base_station.trackers.slam.se3 import inverse, pose_of, rotation_angle_rad, transform
+from base_station.trackers.slam.three_points import pose_from_three
 from base_station.trackers.slam.tracking import Picture
 
 
@@ -108,10 +109,7 @@ def judge(
     if not tried:
         return None
     best = min(tried, key=lambda one: one.cost)
-    apart = [
-        one.cost - best.cost for one in tried
-        if rotation_angle_rad(one.cam_from_world[:3, :3] @ best.cam_from_world[:3, :3].T) > settings.apart_rad
-    ]  # fmt: skip
+    apart = [one.cost - best.cost for one in tried if differ(one.cam_from_world, best.cam_from_world, settings)]
     fitting = int(best.fits.sum())
     least = settings.least_fitting if apart else settings.alone_fitting
     clearly = min(apart, default=math.inf) > settings.least_lead * best.cost / scene.freedom
@@ -119,24 +117,25 @@ def judge(
     return Judged(best.cam_from_world, best.fits, bool(clearly and enough))
 
 
+def differ(one: np.ndarray, two: np.ndarray, settings: TwinSettings) -> bool:
+    """Whether two poses are turned too differently to be the same one."""
+    return rotation_angle_rad(one[:3, :3] @ two[:3, :3].T) > settings.apart_rad
+
+
 def _by_map(
     world: Map, learned: Features, pairs: Pairs, camera: SlamCamera, settings: TwinSettings
 ) -> list[_Guess]:  # fmt: skip
     """The learned picture's pose by the map as it is, if it says one."""
     mapped = np.flatnonzero(pairs.points >= 0)
-    xyz = _points(world, pairs)
-    seen = learned.xy_px[pairs.learned[mapped]].astype(np.float64)
     if len(mapped) < settings.map_points:
         return []
-    solved, rotation, translation, inliers = cv2.solvePnPRansac(
-        xyz[mapped], seen, camera.matrix, None, iterationsCount=200, reprojectionError=settings.map_px,
-        flags=cv2.SOLVEPNP_AP3P,
-    )  # fmt: skip
-    if not solved or inliers is None or len(inliers) < settings.map_points:
+    xyz, seen_px = _points(world, pairs), learned.xy_px[pairs.learned[mapped]]
+    found = pose_from_three(xyz[mapped], seen_px, camera, error_px=settings.map_px, tries=200, confidence=0.99)
+    if found is None or len(found[1]) < settings.map_points:
         return []
     agree = np.zeros(len(xyz), np.bool_)
-    agree[mapped[inliers[:, 0]]] = True
-    return [_Guess(pose_of(cv2.Rodrigues(rotation)[0], translation), xyz, agree)]
+    agree[mapped[found[1]]] = True
+    return [_Guess(found[0], xyz, agree)]
 
 
 def _by_plane(
@@ -160,14 +159,13 @@ def _by_plane(
     if agree.sum() < settings.plane_points or not mapped.any():
         return []
     depth = transform(cam_from_world, world.xyz[pairs.points[mapped]])[:, 2]
-    rays = np.column_stack([(there - camera.intrinsics[2:]) / camera.intrinsics[:2], np.ones(len(there))])
-    found = []
+    rays, found = camera.rays(there[agree]), []
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, camera.matrix)
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
-        toward = (rays[agree] @ normal)[:, 0]
+        toward = (rays @ normal)[:, 0]
         if not (toward > 0).all():
             continue
-        on_plane = (rays[agree] / toward[:, None]) @ rotation.T + translation[:, 0]
+        on_plane = (rays / toward[:, None]) @ rotation.T + translation[:, 0]
         if not (on_plane[:, 2] > 0).all():
             continue
         size = float(np.median(depth / on_plane[mapped[agree], 2]))
@@ -246,12 +244,10 @@ class _Scene:
             problem, camera.intrinsics, self.scales, iterations=settings.iterations, enough=1e-4
         )
         seen = slice(len(problem.point) - len(self.points), None)
-        here = transform(poses[-1], xyz[self.points])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off_px = here[:, :2] / here[:, 2:] * camera.intrinsics[:2] + camera.intrinsics[2:] - problem.uv_px[seen]
-            chi2 = np.sum(off_px**2, axis=1) / self.scales[problem.octave[seen]] ** 2
+        off_px = camera.project(transform(poses[-1], xyz[self.points])) - problem.uv_px[seen]
+        chi2 = np.sum(off_px**2, axis=1) / self.scales[problem.octave[seen]] ** 2
         fits = np.zeros(self.pairs, np.bool_)
-        fits[self.rows] = (here[:, 2] > 0) & (chi2 <= CHI2_TWO)
+        fits[self.rows] = chi2 <= CHI2_TWO
         now = self.problem.poses[-2]
         before, after = (
             float(np.median(transform(pose, points[self.points])[:, 2]))
